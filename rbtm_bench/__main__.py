@@ -1,0 +1,7 @@
+"""``python -m rbtm_bench`` is ``rbtm-bench``."""
+
+import sys
+
+from rbtm_bench.cli import main
+
+sys.exit(main())

@@ -1,0 +1,162 @@
+"""What a backend is: ``prepare`` once a scan, ``register`` many pairs.
+
+``Backend`` does what every method needs, once: it checks its input, keeps planar data in the
+plane, recomputes fitness and RMSE with one evaluator, and refuses to hand out a guess as a
+result. A plug-in writes ``build`` and ``align``.
+"""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Annotated, Any
+
+import numpy as np
+from annotated_types import Ge, Gt
+
+from rbtm_bench.errors import BackendError
+from rbtm_bench.geometry import is_rigid, to_plane, transform, voxel_downsample
+from rbtm_bench.types import Array, RegistrationResult, Scan
+
+MIN_POINTS = 6
+"""Fewer points than this cannot hold six degrees of freedom against noise: an error."""
+MIN_INLIERS = 3
+"""With fewer inliers a plane motion is not determined: never called converged."""
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A scan ready to be registered many times; never modified.
+
+    ``points`` (N, 3) m, thinned; ``native`` is whatever the backend built from them.
+    """
+
+    points: Array
+    planar: bool
+    native: Any
+
+    @cached_property
+    def tree(self) -> Any:
+        """Nearest-neighbour tree of the points, for the evaluator."""
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.points[:, :2] if self.planar else self.points)
+
+
+@dataclass(frozen=True, eq=False)
+class Alignment:
+    """What a library says of one registration; None where it does not say."""
+
+    T_target_source: Array
+    converged: bool | None = None
+    iterations: int | None = None
+    information: Array | None = None
+    library_fitness: float | None = None
+    library_rmse: float | None = None
+
+
+class Backend(ABC):
+    """A registration method. ``max_correspondence_distance`` (m) is also the evaluator's radius;
+    ``voxel_size`` (m, 0: off) thins every scan before the method sees it."""
+
+    requires: tuple[str, ...] = ()
+    """Names of the Python packages that must be importable."""
+
+    def __init__(
+        self,
+        max_correspondence_distance: Annotated[float, Gt(0)] = 0.3,
+        voxel_size: Annotated[float, Ge(0)] = 0.0,
+    ) -> None:
+        self.max_correspondence_distance = max_correspondence_distance
+        self.voxel_size = voxel_size
+
+    @abstractmethod
+    def build(self, points: Array, planar: bool) -> Any:
+        """The library's own form of points (N, 3) m: trees, normals, covariances, maps."""
+
+    @abstractmethod
+    def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
+        """Align source to target from an initial guess. Must not modify its arguments."""
+
+    def prepare(self, scan: Scan) -> Prepared:
+        """Thin and build a scan, once. Raises ``BackendError`` on points that are not finite or
+        too few (fewer than 6)."""
+        points = np.ascontiguousarray(scan.points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise BackendError(f"scan {scan.index}: points {points.shape}: expected (N, 3)")
+        if not np.isfinite(points).all():
+            raise BackendError(f"scan {scan.index}: some points are not finite")
+        return self._prepared(voxel_downsample(points, self.voxel_size), scan.planar, scan.index)
+
+    def merge(self, parts: Sequence[tuple[Prepared, Array]]) -> Prepared:
+        """One target out of several prepared scans, each with its T_target_part (4, 4)."""
+        points = np.concatenate([transform(T, part.points) for part, T in parts])
+        thinned = voxel_downsample(points, self.voxel_size)
+        return self._prepared(thinned, all(part.planar for part, _ in parts), -1)
+
+    def register(
+        self, source: Prepared, target: Prepared, T_target_source: Array
+    ) -> RegistrationResult:
+        """Register source to target from the initial guess ``T_target_source`` (4, 4).
+
+        ``converged`` is False, whatever the library says, when fewer than 3 source points lie
+        within the radius of the target. ``seconds`` is the method's own time.
+        Raises ``BackendError`` for a guess that is no rigid motion, or if the library fails.
+        """
+        guess = np.array(T_target_source, dtype=np.float64)
+        if not is_rigid(guess):
+            raise BackendError("the initial guess is not a rigid 4x4 motion")
+        started = time.perf_counter()
+        try:
+            alignment = self.align(source, target, guess)
+        except BackendError:
+            raise
+        except Exception as error:
+            raise BackendError(f"{type(self).__name__}: {type(error).__name__}: {error}") from error
+        seconds = time.perf_counter() - started
+        T = np.array(alignment.T_target_source, dtype=np.float64)
+        if not is_rigid(T, tolerance=1e-5):
+            raise BackendError(f"{type(self).__name__} returned no rigid motion")
+        if source.planar and target.planar:
+            T = to_plane(T)
+        fitness, rmse, inliers = evaluate(source, target, T, self.max_correspondence_distance)
+        return RegistrationResult(
+            T_target_source=T,
+            converged=False if inliers < MIN_INLIERS else alignment.converged,
+            fitness=fitness,
+            inlier_rmse=rmse,
+            inliers=inliers,
+            iterations=alignment.iterations,
+            seconds=seconds,
+            information=alignment.information,
+            library_fitness=alignment.library_fitness,
+            library_rmse=alignment.library_rmse,
+        )
+
+    def _prepared(self, points: Array, planar: bool, index: int) -> Prepared:
+        if len(points) < MIN_POINTS:
+            raise BackendError(
+                f"scan {index}: {len(points)} points: expected at least {MIN_POINTS}"
+            )
+        return Prepared(points, planar, self.build(points, planar))
+
+
+def evaluate(
+    source: Prepared, target: Prepared, T_target_source: Array, radius: float
+) -> tuple[float, float, int]:
+    """Fitness, inlier RMSE (m) and inlier count: the same for every backend.
+
+    A source point is an inlier if its nearest target point is within ``radius`` m. Fitness is
+    the share of inliers among source points (as in Open3D's ``evaluate_registration``).
+    """
+    moved = transform(T_target_source, source.points)
+    planar = target.planar
+    distance, _ = target.tree.query(
+        moved[:, :2] if planar else moved, distance_upper_bound=radius
+    )
+    inlier = distance[np.isfinite(distance)]
+    rmse = float(np.sqrt(np.mean(inlier**2))) if len(inlier) else float("nan")
+    return len(inlier) / len(moved), rmse, len(inlier)

@@ -1,0 +1,16 @@
+"""No registration: the guess as it is. The baseline row of every comparison."""
+
+from __future__ import annotations
+
+from rbtm_bench.backends.base import Alignment, Backend, Prepared
+from rbtm_bench.types import Array
+
+
+class NoRegistration(Backend):
+    """Hands back the initial guess: dead reckoning by the ``guess`` in use."""
+
+    def build(self, points: Array, planar: bool) -> None:
+        return None
+
+    def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
+        return Alignment(T_target_source, iterations=0)

@@ -1,0 +1,86 @@
+"""What Open3D's three ICP methods share: clouds, robust kernels, coarse-to-fine distances."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt
+
+from rbtm_bench.backends.base import Alignment, Backend, Prepared
+from rbtm_bench.errors import ConfigError
+from rbtm_bench.types import Array
+
+Kernel = Literal["none", "huber", "cauchy", "geman_mcclure", "tukey"]
+Positive = Annotated[float, Gt(0)]
+
+
+class Open3DICP(Backend):
+    """``open3d.pipelines.registration`` (MIT licence), iterated over shrinking distances.
+
+    Parameters: ``max_iterations`` per distance; ``relative_fitness`` and ``relative_rmse``, the
+    changes below which Open3D stops; ``kernel`` and ``kernel_scale`` (m), a robust weight on
+    residuals; ``coarse_to_fine``, factors of ``max_correspondence_distance`` gone through in
+    order, e.g. [4, 2, 1]. Open3D says neither whether it converged nor how many iterations it
+    took: both are None.
+    """
+
+    requires = ("open3d",)
+
+    def __init__(
+        self,
+        max_correspondence_distance: Positive = 0.3,
+        voxel_size: Annotated[float, Ge(0)] = 0.0,
+        max_iterations: Annotated[int, Ge(1)] = 50,
+        relative_fitness: Positive = 1e-6,
+        relative_rmse: Positive = 1e-6,
+        kernel: Kernel = "none",
+        kernel_scale: Positive = 0.1,
+        coarse_to_fine: Sequence[Positive] = (1.0,),
+    ) -> None:
+        super().__init__(max_correspondence_distance, voxel_size)
+        if len(coarse_to_fine) == 0:
+            raise ConfigError("backend.coarse_to_fine=[]: expected at least one factor")
+        self.distances = [factor * max_correspondence_distance for factor in coarse_to_fine]
+        self.kernel, self.kernel_scale = kernel, kernel_scale
+        registration = _registration()
+        self._criteria = registration.ICPConvergenceCriteria(
+            relative_fitness, relative_rmse, max_iterations
+        )
+
+    @abstractmethod
+    def icp(self, source: Any, target: Any, distance: float, guess: Array) -> Any:
+        """One call of the library: source and target clouds -> its RegistrationResult."""
+
+    def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
+        T = T_target_source
+        for distance in self.distances:
+            result = self.icp(source.native, target.native, distance, T)
+            T = np.asarray(result.transformation)
+        return Alignment(T, library_fitness=result.fitness, library_rmse=result.inlier_rmse)
+
+    def robust_kernel(self) -> Any:
+        """The library's kernel object; the scale is in m."""
+        registration, scale = _registration(), self.kernel_scale
+        return {
+            "none": lambda: registration.L2Loss(),
+            "huber": lambda: registration.HuberLoss(scale),
+            "cauchy": lambda: registration.CauchyLoss(scale),
+            "geman_mcclure": lambda: registration.GMLoss(scale),
+            "tukey": lambda: registration.TukeyLoss(scale),
+        }[self.kernel]()
+
+
+def cloud(points: Array) -> Any:
+    """An Open3D point cloud of points (N, 3)."""
+    import open3d as o3d
+
+    return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+
+
+def _registration() -> Any:
+    import open3d as o3d
+
+    return o3d.pipelines.registration

@@ -1,0 +1,20 @@
+"""What a check is: it accepts a registration or says why not."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+from rbtm_bench.types import Array, RegistrationResult
+
+
+class Check(ABC):
+    """Looks at a registration before the loop believes it."""
+
+    requires: tuple[str, ...] = ()
+
+    @abstractmethod
+    def reject(self, result: RegistrationResult, T_guess: Array) -> str | None:
+        """Why the registration is not believed, or None to accept it.
+
+        ``T_guess`` (4, 4) is the initial guess T_model_scan that it started from.
+        """

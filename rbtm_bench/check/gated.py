@@ -1,0 +1,42 @@
+"""Believe a registration that converged, fits, and stays near its guess."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+
+from rbtm_bench.check.base import Check
+from rbtm_bench.geometry import inverse, rotation_angle, translation_norm
+from rbtm_bench.types import Array, RegistrationResult
+
+
+class Gated(Check):
+    """Rejects when ``converged`` is False (None passes: the library does not say), when fitness
+    is below ``min_fitness``, or when the result is further than ``max_translation`` m or
+    ``max_rotation_deg`` from its initial guess."""
+
+    def __init__(
+        self,
+        min_fitness: Annotated[float, Ge(0), Le(1)] = 0.3,
+        max_translation: Annotated[float, Gt(0)] = 0.5,
+        max_rotation_deg: Annotated[float, Gt(0)] = 30.0,
+    ) -> None:
+        self.min_fitness = min_fitness
+        self.max_translation = max_translation
+        self.max_rotation_deg = max_rotation_deg
+
+    def reject(self, result: RegistrationResult, T_guess: Array) -> str | None:
+        if result.converged is False:
+            return "not converged"
+        if result.fitness < self.min_fitness:
+            return f"fitness {result.fitness:.2f} < {self.min_fitness:g}"
+        correction = inverse(T_guess) @ result.T_target_source
+        distance = float(translation_norm(correction))
+        if distance > self.max_translation:
+            return f"{distance:.2f} m from the guess"
+        angle = float(np.degrees(rotation_angle(correction)))
+        if angle > self.max_rotation_deg:
+            return f"{angle:.0f} deg from the guess"
+        return None

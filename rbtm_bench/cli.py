@@ -1,0 +1,127 @@
+"""The command line: one subcommand a job, Hydra's overrides passed through.
+
+Nothing heavy is imported before a subcommand needs it, so that ``--help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+
+HELP = """\
+rbtm-bench: compare scan registration backends and ways to choose the model scan.
+
+usage: rbtm-bench COMMAND [key=value ...] [options]
+
+commands
+  run       one experiment:      rbtm-bench run backend=open3d_gicp selector=rbtm selector.window=20
+  compare   a grid, one table:   rbtm-bench compare backend=none,open3d_p2p selector=previous,rbtm
+  sweep     Hydra's multirun:    rbtm-bench sweep selector.threshold=0.6,0.7,0.8
+  table     runs as a table:     rbtm-bench table results/compare --format csv
+  plot      runs as figures:     rbtm-bench plot results/compare
+  list      every plug-in, its parameters, and whether its library is there
+  doctor    check this installation and say what to do
+
+what goes on the command line
+  dataset=corridor|carmen|cloud_folder          group=member chooses a plug-in
+  dataset.path=LOG selector.threshold=0.8       group.key=value sets one of its parameters
+  out=DIR                                       where the results go (default: results/...)
+  seed=0,1,2                                    lists make a grid (compare, sweep)
+
+options of run, compare and sweep
+  --cfg job         print the composed settings and stop
+  --config-dir DIR  more plug-ins: DIR/backend/mine.yaml is backend=mine
+  --debug           the whole traceback instead of one line
+
+rbtm-bench COMMAND --help says more.   Shell completion: eval "$(rbtm-bench -sc install=bash)"
+"""
+
+HYDRA_FLAGS = (
+    "--cfg",
+    "-c",
+    "--package",
+    "-p",
+    "--resolve",
+    "--info",
+    "-i",
+    "--hydra-help",
+    "--experimental-rerun",
+)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a subcommand; returns the exit code: 0, 1 for a failed run, 2 for a user's mistake."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if "-sc" in words or "--shell-completion" in words:
+        from rbtm_bench.completion import complete
+
+        return complete(words)
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(HELP, end="")
+        return 0 if words else 2
+    if words[0] in ("-V", "--version"):
+        from rbtm_bench import __version__
+
+        print(f"rbtm-bench {__version__}")
+        return 0
+    debug = "--debug" in words or bool(os.environ.get("HYDRA_FULL_ERROR"))
+    words = [word for word in words if word != "--debug"]
+    return guarded(lambda: dispatch(words[0], words[1:]), debug)
+
+
+def dispatch(command: str, words: list[str]) -> int:
+    """Call the subcommand's function."""
+    from rbtm_bench.errors import ConfigError
+
+    if command in ("run", "compare", "sweep"):
+        from rbtm_bench import cli_runs
+
+        if any(word in HYDRA_FLAGS or word.startswith("--cfg=") for word in words):
+            return cli_runs.hydra_itself(words)
+        return {"run": cli_runs.run, "compare": cli_runs.compare, "sweep": cli_runs.sweep}[
+            command
+        ](words)
+    if command in ("table", "plot"):
+        from rbtm_bench import cli_results
+
+        return {"table": cli_results.table, "plot": cli_results.plot}[command](words)
+    if command in ("list", "doctor"):
+        from rbtm_bench import cli_about
+
+        return {"list": cli_about.list_plugins, "doctor": cli_about.doctor}[command](words)
+    import difflib
+
+    commands = ["run", "compare", "sweep", "table", "plot", "list", "doctor"]
+    close = difflib.get_close_matches(command, commands, n=1)
+    meant = f" Did you mean {close[0]}?" if close else ""
+    raise ConfigError(f"{command}: no such command.{meant} Known: {', '.join(commands)}")
+
+
+def guarded(call: Callable[[], int], debug: bool) -> int:
+    """The exit code of ``call``; known errors print one line unless ``debug``."""
+    from rbtm_bench.errors import RbtmBenchError
+
+    try:
+        return call()
+    except KeyboardInterrupt:
+        print("rbtm-bench: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+    except RbtmBenchError as error:
+        if debug:
+            raise
+        print(f"rbtm-bench: {error}", file=sys.stderr)
+        return error.exit_code
+    except Exception as error:
+        if debug:
+            raise
+        text = " ".join(str(error).split())
+        print(f"rbtm-bench: {type(error).__name__}: {text} (--debug shows where)", file=sys.stderr)
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,95 @@
+"""Many runs side by side: each on a core of its own, a failed one is a row like any other."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rbtm_bench import experiment
+from rbtm_bench.errors import ConfigError
+from rbtm_bench.grid import Point
+from rbtm_bench.settings import locate
+
+Done = Callable[[str, dict[str, Any]], None]
+"""Called with a point's name and its ``run.json`` whenever a run has ended."""
+
+
+def check_data(points: Sequence[Point]) -> None:
+    """Open every data set once, before the first run, and see that the parts fit it.
+
+    Raises ``DataError`` or ``ConfigError``: bad data common to all points stops here.
+    """
+    opened: dict[str, Any] = {}
+    checked = set()
+    for point in points:
+        config = point.settings.config
+        key = repr(sorted(config["dataset"].items()))
+        if key not in opened:
+            opened.clear()  # one data set in memory at a time
+            opened[key] = experiment.build(config["dataset"])
+        needs_scores = locate("selector", config["selector"]["_target_"]).needs_scores
+        fit = repr((key, config["guess"], config["similarity"], needs_scores))
+        if fit in checked:
+            continue
+        checked.add(fit)
+        experiment.build(config["guess"]).check(opened[key])
+        if needs_scores:
+            experiment.build(config["similarity"]).check(opened[key])
+
+
+def run_points(points: Sequence[Point], out: Path, jobs: int, done: Done) -> None:
+    """Run the points into folders below ``out``, ``jobs`` at a time.
+
+    Points that draw another run's gaps follow when all others have ended.
+    """
+    for late in (False, True):
+        batch = [point for point in points if (point.gaps_of is not None) is late]
+        tasks = [(point.name, _placed(point, out), out / point.name) for point in batch]
+        for name, record in _results(tasks, jobs):
+            done(name, record)
+
+
+def default_jobs() -> int:
+    """The cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def prepare_folder(out: Path, overwrite: bool) -> None:
+    """Make the comparison's folder; refuse one that holds anything, unless it may be replaced."""
+    experiment.refuse_existing(out, overwrite)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"out={out}: cannot be made: {error.strerror}") from error
+
+
+def _placed(point: Point, out: Path) -> Any:
+    """The point's settings with the folder of its gaps filled in, free to write into ``out``."""
+    config = {**point.settings.config, "overwrite": True}
+    if point.gaps_of is not None:
+        config["selector"] = {**config["selector"], "gaps_from": str(out / point.gaps_of)}
+    return replace(point.settings, config=config)
+
+
+def _results(tasks: list[tuple[str, Any, Path]], jobs: int) -> Any:
+    if jobs == 1 or len(tasks) < 2:
+        return (run_one(*task) for task in tasks)
+    from joblib import Parallel, delayed
+
+    parallel = Parallel(n_jobs=min(jobs, len(tasks)), return_as="generator_unordered")
+    return parallel(delayed(run_one)(*task) for task in tasks)
+
+
+def run_one(name: str, settings: Any, out: Path) -> tuple[str, dict[str, Any]]:
+    """One run that never raises: whatever goes wrong becomes its status and reason."""
+    try:
+        return name, experiment.run(settings, out)
+    except Exception as error:
+        if not (out / "run.json").exists():
+            experiment.fail(settings, out, error)
+        return name, {"status": "failed", "reason": experiment.reason(error)}

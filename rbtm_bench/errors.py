@@ -1,0 +1,36 @@
+"""One exception tree: whatever a user can cause or meet prints as one line.
+
+``exit_code`` is what the command line answers with: 2 for a mistake in what the user gave
+(settings or data), 1 for a run that failed.
+"""
+
+
+class RbtmBenchError(Exception):
+    """Base of every error that is expected to reach a user."""
+
+    exit_code = 1
+
+
+class ConfigError(RbtmBenchError):
+    """A setting is unknown, of the wrong type, out of range, or does not fit the data."""
+
+    exit_code = 2
+
+
+class DataError(RbtmBenchError):
+    """A file is missing, empty, truncated or malformed."""
+
+    exit_code = 2
+
+    @classmethod
+    def at(cls, path: object, line: int, field: str, expected: str) -> "DataError":
+        """A one-line message that names file, line, field and what was expected."""
+        return cls(f"{path}, line {line}, {field}: expected {expected}")
+
+
+class BackendError(RbtmBenchError):
+    """A registration could not be done: too few points, bad input, or the library raised."""
+
+
+class RunError(RbtmBenchError):
+    """A run could not be finished."""

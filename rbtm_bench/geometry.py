@@ -1,0 +1,105 @@
+"""Rigid motions in the plane and in space: small helpers on 4x4 float64 matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rbtm_bench.types import Array
+
+
+def se2(x: float, y: float, theta: float) -> Array:
+    """The 4x4 pose of a planar motion: x, y in m, theta in rad about z."""
+    T = np.eye(4)
+    c, s = np.cos(theta), np.sin(theta)
+    T[0, 0], T[0, 1], T[1, 0], T[1, 1] = c, -s, s, c
+    T[0, 3], T[1, 3] = x, y
+    return T
+
+
+def se3(translation: ArrayLike, rotation: ArrayLike) -> Array:
+    """The 4x4 pose of translation (3,) m and rotation matrix (3, 3)."""
+    T = np.eye(4)
+    T[:3, :3] = rotation
+    T[:3, 3] = translation
+    return T
+
+
+def inverse(T: Array) -> Array:
+    """The inverse of rigid motions (..., 4, 4), by transposing the rotation."""
+    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
+    out = np.zeros_like(T)
+    out[..., :3, :3] = R_t
+    out[..., :3, 3] = -(R_t @ T[..., :3, 3, None])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def transform(T: Array, points: Array) -> Array:
+    """Points (N, 3) moved by T (4, 4)."""
+    return points @ T[:3, :3].T + T[:3, 3]
+
+
+def translation_norm(T: Array) -> Array:
+    """Length in m of the translation of motions (..., 4, 4)."""
+    return np.linalg.norm(T[..., :3, 3], axis=-1)
+
+
+def rotation_angle(T: Array) -> Array:
+    """Absolute rotation angle in rad of motions (..., 4, 4), accurate near 0 and near pi."""
+    R = T[..., :3, :3]
+    sine = 0.5 * np.sqrt(
+        (R[..., 2, 1] - R[..., 1, 2]) ** 2
+        + (R[..., 0, 2] - R[..., 2, 0]) ** 2
+        + (R[..., 1, 0] - R[..., 0, 1]) ** 2
+    )
+    cosine = 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
+    return np.arctan2(sine, cosine)
+
+
+def yaw(T: Array) -> Array:
+    """Signed rotation about z in rad of motions (..., 4, 4)."""
+    return np.arctan2(T[..., 1, 0], T[..., 0, 0])
+
+
+def to_plane(T: Array) -> Array:
+    """The planar motion nearest to T: x, y and yaw are kept, the rest is dropped."""
+    return se2(float(T[0, 3]), float(T[1, 3]), float(yaw(T)))
+
+
+def to_rotation(R: Array) -> Array:
+    """The rotation matrix nearest to R (3, 3) in the Frobenius norm (by SVD)."""
+    U, _, Vt = np.linalg.svd(R)
+    D = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    return U @ D @ Vt
+
+
+def is_rigid(T: ArrayLike, tolerance: float = 1e-6) -> bool:
+    """True for a finite 4x4 matrix with an orthonormal, right-handed rotation."""
+    M = np.asarray(T, dtype=float)
+    if M.shape != (4, 4) or not np.isfinite(M).all():
+        return False
+    R = M[:3, :3]
+    return (
+        np.abs(R @ R.T - np.eye(3)).max() <= tolerance
+        and np.linalg.det(R) > 0
+        and np.abs(M[3] - [0.0, 0.0, 0.0, 1.0]).max() <= tolerance
+    )
+
+
+def voxel_downsample(points: Array, voxel_size: float) -> Array:
+    """The mean of the points (N, 3) in each cubic voxel of ``voxel_size`` m; 0 keeps every point.
+
+    The order follows the voxels' first points, so the result is the same on every machine.
+    """
+    if voxel_size <= 0 or len(points) == 0:
+        return points
+    keys = np.floor(points / voxel_size).astype(np.int64)
+    keys -= keys.min(axis=0)
+    extent = keys.max(axis=0) + 1
+    flat = (keys[:, 0] * extent[1] + keys[:, 1]) * extent[2] + keys[:, 2]
+    _, first, group, count = np.unique(
+        flat, return_index=True, return_inverse=True, return_counts=True
+    )
+    sums = np.stack([np.bincount(group, weights=points[:, i]) for i in range(3)], axis=1)
+    return (sums / count[:, None])[np.argsort(first, kind="stable")]

@@ -1,0 +1,239 @@
+"""The points of a comparison: every chosen plug-in with every setting that it declares.
+
+Plain Hydra refuses ``selector=previous,rbtm selector.window=10`` because "previous" has no
+window. Here an override applies to every chosen member that declares its key.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from rbtm_bench.errors import ConfigError
+from rbtm_bench.settings import (
+    GROUPS,
+    Settings,
+    composed,
+    composing,
+    explain,
+    from_hydra,
+    suggestion,
+)
+
+IGNORED_IN_COMPARISON = ("out", "overwrite", "pin")
+
+
+@dataclass(frozen=True)
+class Point:
+    """One run of a comparison. ``gaps_of`` names the point whose gaps a random_gap draws."""
+
+    name: str
+    settings: Settings
+    gaps_of: str | None = None
+
+
+def make_points(
+    words: list[str], extra_dirs: tuple[Path, ...] = ()
+) -> tuple[list[Point], list[str]]:
+    """The grid of overrides with comma lists, and notes on points that coincide.
+
+    Raises ``ConfigError`` for a key that no chosen member declares, or any bad value.
+    """
+    groups, keys, additions = _sort_overrides(words)
+    notes: list[str] = []
+    used: set[str] = set()
+    found: list[tuple[Settings, list[str]]] = []
+    with composing(extra_dirs) as extra:
+        declared: list[DictConfig] = []
+        for combination in itertools.product(*groups.values()):
+            chosen = [f"{g}={m}" for g, m in zip(groups, combination, strict=True)]
+            base = composed(chosen + additions + extra)
+            declared.append(base)
+            here = {key: values for key, values in keys.items() if _declares(base, key)}
+            used |= here.keys()
+            notes += _note(chosen, keys, here)
+            for values in itertools.product(*here.values()):
+                overrides = [f"{k}={_text(v)}" for k, v in zip(here, values, strict=True)]
+                settings = _settings(base, here, values, chosen + additions + overrides)
+                found.append((settings, _label(settings, groups, here, values)))
+        for key in keys:
+            if key not in used:
+                raise ConfigError(_nobody_declares(key, declared))
+    return _named(_merge(found, notes)), list(dict.fromkeys(notes))
+
+
+def _sort_overrides(
+    words: list[str],
+) -> tuple[dict[str, list[str]], dict[str, list[Any]], list[str]]:
+    """Group choices, key values, and additions or deletions (``+a=1``, ``~a``), in order."""
+    try:
+        overrides: list[Override] = OverridesParser.create().parse_overrides(words)
+    except HydraException as error:
+        raise ConfigError(explain(error)) from error
+    groups: dict[str, list[str]] = {}
+    keys: dict[str, list[Any]] = {}
+    additions: list[str] = []
+    for override in overrides:
+        key = override.key_or_group
+        if override.is_add() or override.is_delete() or override.is_force_add():
+            if override.is_sweep_override():
+                raise ConfigError(f"{override.input_line}: a list of values cannot be added")
+            additions.append(str(override.input_line))
+        elif key in GROUPS:
+            groups[key] = [str(value) for value in _values(override, text=True)]
+        else:
+            keys[key] = _values(override, text=False)
+    return groups, keys, additions
+
+
+def _values(override: Override, text: bool) -> list[Any]:
+    if not override.is_sweep_override():
+        return [override.value()]
+    if text:
+        return [str(value).strip("'\"") for value in override.sweep_string_iterator()]
+    from hydra.core.override_parser.types import Transformer
+
+    return list(override.sweep_iterator(transformer=Transformer.identity))
+
+
+def _declares(config: DictConfig, key: str) -> bool:
+    node: Any = config
+    for part in key.split("."):
+        if not isinstance(node, DictConfig) or part not in node:
+            return False
+        node = node._get_node(part)
+    return True
+
+
+def _settings(
+    base: DictConfig, keys: dict[str, list[Any]], values: Iterable[Any], overrides: list[str]
+) -> Settings:
+    config = base.copy()
+    with open_dict(config):
+        for key, value in zip(keys, values, strict=True):
+            OmegaConf.update(config, key, value, force_add=True)
+    return from_hydra(config, tuple(overrides))
+
+
+def _label(
+    settings: Settings,
+    groups: dict[str, list[str]],
+    keys: dict[str, list[Any]],
+    values: Iterable[Any],
+) -> list[str]:
+    """What tells this point from the others: the words of its name."""
+    label = [settings.choices["backend"], settings.choices["selector"]]
+    label += [
+        settings.choices[group]
+        for group, members in groups.items()
+        if group not in ("backend", "selector") and len(members) > 1
+    ]
+    label += [
+        f"{key.rpartition('.')[2]}={_text(value)}"
+        for (key, listed), value in zip(keys.items(), values, strict=True)
+        if len(listed) > 1
+    ]
+    return label
+
+
+def _merge(
+    found: list[tuple[Settings, list[str]]], notes: list[str]
+) -> list[tuple[Settings, list[str]]]:
+    """One of every set of points with the same settings (a seed that nothing uses included)."""
+    kept: dict[str, tuple[Settings, list[str]]] = {}
+    for settings, label in found:
+        key = _identity(settings, ignore=(*IGNORED_IN_COMPARISON, "seed"))
+        if key in kept:
+            notes.append(
+                f"merged: {' '.join(label) or 'a point'} is the same as "
+                f"{' '.join(kept[key][1]) or 'another'}"
+            )
+        else:
+            kept[key] = (settings, label)
+    return list(kept.values())
+
+
+def _identity(settings: Settings, ignore: tuple[str, ...]) -> str:
+    config = {k: v for k, v in settings.config.items() if k not in ignore}
+    return json.dumps([settings.choices, config], sort_keys=True)
+
+
+def _named(found: list[tuple[Settings, list[str]]]) -> list[Point]:
+    """Points with unique names; random_gap once for every rbtm point that it can follow."""
+    points: dict[str, Point] = {}
+
+    def add(label: list[str], settings: Settings, gaps_of: str | None = None) -> str:
+        stem = re.sub(r"[^\w.=+-]+", "_", "-".join(label)) or "run"
+        name, count = stem, 2
+        while name in points:
+            name, count = f"{stem}-{count}", count + 1
+        points[name] = Point(name, settings, gaps_of)
+        return name
+
+    waiting = []
+    sources: dict[str, list[str]] = {}
+    for settings, label in found:
+        selector = settings.config["selector"]
+        if settings.choices["selector"] == "random_gap" and not (
+            selector.get("gaps") or selector.get("gaps_from")
+        ):
+            waiting.append((settings, label))
+            continue
+        name = add(label, settings)
+        if settings.choices["selector"] == "rbtm":
+            sources.setdefault(_without_selector(settings), []).append(name)
+    for settings, label in waiting:
+        followed = sources.get(_without_selector(settings), [])
+        if not followed:
+            raise ConfigError(
+                "selector=random_gap draws its gaps from another run: add selector=rbtm to the "
+                "comparison, or give selector.gaps_from=<run folder>"
+            )
+        for source in followed:
+            add([*label, *([f"of-{source}"] if len(followed) > 1 else [])], settings, source)
+    return list(points.values())
+
+
+def _without_selector(settings: Settings) -> str:
+    choices = {k: v for k, v in settings.choices.items() if k != "selector"}
+    plain = replace(settings, choices=choices)
+    return _identity(plain, ignore=(*IGNORED_IN_COMPARISON, "selector"))
+
+
+def _note(chosen: list[str], keys: dict[str, list[Any]], here: dict[str, list[Any]]) -> list[str]:
+    """Say where a list of values does not apply, so that its points became one."""
+    notes = []
+    for key, values in keys.items():
+        group = key.partition(".")[0]
+        if key not in here and len(values) > 1:
+            member = next((word for word in chosen if word.startswith(f"{group}=")), group)
+            notes.append(f"merged: {member} has no {key}: its {len(values)} points are one")
+    return notes
+
+
+def _nobody_declares(key: str, configs: list[DictConfig]) -> str:
+    parent, _, last = key.rpartition(".")
+    known: dict[str, None] = {}
+    for config in configs:
+        node = OmegaConf.select(config, parent) if parent else config
+        if isinstance(node, DictConfig):
+            known.update(dict.fromkeys(str(k) for k in node if k not in ("_target_", "hydra")))
+    return f"{key}: no chosen member has such a setting.{suggestion(last, list(known))}"
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return str(value)

@@ -1,0 +1,47 @@
+"""What an initial guess is: a prediction of the motion between the model scan and the new one."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import numpy as np
+
+from rbtm_bench.datasets.base import Dataset
+from rbtm_bench.errors import ConfigError
+from rbtm_bench.geometry import inverse
+from rbtm_bench.types import Array, Node, Scan
+
+
+class Guess(ABC):
+    """Predicts T_model_scan. ``pure``: it depends on the pair alone, not on the trajectory."""
+
+    requires: tuple[str, ...] = ()
+    pure: bool = False
+    needs_odometry: bool = False
+
+    def check(self, dataset: Dataset) -> None:
+        """Raise ``ConfigError`` if the data set lacks what this guess needs."""
+        if self.needs_odometry and not dataset.has_odometry:
+            raise ConfigError(
+                f"guess={type(self).__name__} needs odometry, which this data set "
+                f"({type(dataset).__name__}) does not have: use guess=constant_velocity"
+            )
+
+    @abstractmethod
+    def predict(self, model: Node, scan: Scan, recent: Sequence[Node]) -> Array:
+        """T_model_scan (4, 4). ``recent`` holds the last one or two scans, newest last."""
+
+
+def odometry_of(item: Node | Scan) -> Array:
+    """T_odom_scan of a scan of a data set that has odometry."""
+    assert item.odometry is not None
+    return item.odometry
+
+
+def from_previous(model: Node, recent: Sequence[Node], T_previous_scan: Array) -> Array:
+    """T_model_scan of a motion since the previous scan, along the estimated trajectory."""
+    return inverse(model.T_world_scan) @ recent[-1].T_world_scan @ T_previous_scan
+
+
+IDENTITY = np.eye(4)

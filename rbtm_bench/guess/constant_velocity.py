@@ -1,0 +1,20 @@
+"""The last motion again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rbtm_bench.geometry import inverse
+from rbtm_bench.guess.base import IDENTITY, Guess, from_previous
+from rbtm_bench.types import Array, Node, Scan
+
+
+class ConstantVelocity(Guess):
+    """T_model_scan = inv(T_model) T_previous (inv(T_before) T_previous); no motion before the
+    second scan. Scans are taken as evenly spaced in time, as KISS-ICP does."""
+
+    def predict(self, model: Node, scan: Scan, recent: Sequence[Node]) -> Array:
+        step = IDENTITY
+        if len(recent) == 2:
+            step = inverse(recent[0].T_world_scan) @ recent[1].T_world_scan
+        return from_previous(model, recent, step)

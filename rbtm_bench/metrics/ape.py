@@ -1,0 +1,75 @@
+"""Absolute pose error: how far the estimated positions are from the true ones."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from rbtm_bench.datasets.base import Relations
+from rbtm_bench.metrics.base import Metric, Values, paired
+from rbtm_bench.trajectory import Trajectory
+from rbtm_bench.types import Array
+
+RANK_TOLERANCE = 1e-12
+"""Ratio of the second to the first singular value below which positions count as collinear."""
+
+_SOURCE = "evo.core.metrics.APE, translation part (Sturm et al. 2012)"
+
+
+class Ape(Metric):
+    """APE of the positions after an alignment, over all poses with a truth.
+
+    ``align``: "none" compares in the given world frames; "origin" makes the first poses equal;
+    "umeyama" fits the whole trajectory by a rigid motion, without scale (Umeyama 1991). Positions
+    on one straight line, or all in one place, leave the fitted rotation open: then every key is
+    None.
+    """
+
+    columns: ClassVar[dict[str, str]] = {
+        "ape_rmse_m": f"m; root mean square distance of the positions once aligned; {_SOURCE}",
+        "ape_mean_m": f"m; mean of the same distances; {_SOURCE}",
+        "ape_max_m": f"m; largest of the same distances; {_SOURCE}",
+    }
+
+    def __init__(self, align: Literal["none", "origin", "umeyama"] = "origin") -> None:
+        self.align = align
+
+    def evaluate(
+        self, estimate: Trajectory, truth: Trajectory | None, relations: Relations | None = None
+    ) -> Values:
+        """See ``Metric.evaluate``; ``relations`` are not used."""
+        pair = paired(estimate, truth)
+        if pair is None or (self.align == "umeyama" and _is_collinear(*pair)):
+            return self.nothing()
+
+        from evo.core.geometry import GeometryException
+        from evo.core.metrics import APE, StatisticsType
+        from evo.core.trajectory import PosePath3D
+
+        path, reference = (PosePath3D(poses_se3=list(T)) for T in pair)
+        if self.align == "origin":
+            path.align_origin(reference)
+        elif self.align == "umeyama":
+            try:
+                path.align(reference)
+            except GeometryException:
+                return self.nothing()
+        ape = APE()
+        ape.process_data((reference, path))
+        return {
+            "ape_rmse_m": float(ape.get_statistic(StatisticsType.rmse)),
+            "ape_mean_m": float(ape.get_statistic(StatisticsType.mean)),
+            "ape_max_m": float(ape.get_statistic(StatisticsType.max)),
+        }
+
+
+def _is_collinear(estimate: Array, truth: Array) -> bool:
+    """Whether the fit of poses (M, 4, 4) to others leaves a rotation open.
+
+    evo's own test holds the singular values against an absolute 2e-16, so on a long straight path
+    rounding decides whether it raises. Relative to the largest it is always the same answer.
+    """
+    x, y = (T[:, :3, 3] - T[:, :3, 3].mean(axis=0) for T in (estimate, truth))
+    singular = np.linalg.svd(y.T @ x, compute_uv=False)
+    return bool(singular[1] <= RANK_TOLERANCE * singular[0])

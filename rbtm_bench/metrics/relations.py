@@ -1,0 +1,128 @@
+"""The relation error of Kuemmerle et al. 2009, "On measuring the accuracy of SLAM algorithms".
+
+It compares motions between pairs of times with motions known by hand (or otherwise), so it needs
+no true trajectory and no common frame, and an error is counted where it arises.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar
+
+import numpy as np
+from annotated_types import Ge, Gt
+from numpy.typing import NDArray
+
+from rbtm_bench.datasets.base import Relations
+from rbtm_bench.geometry import inverse, rotation_angle, translation_norm
+from rbtm_bench.metrics.base import Metric, Values
+from rbtm_bench.trajectory import Mask, Trajectory
+from rbtm_bench.types import Array
+
+_SOURCE = "Kuemmerle et al. 2009, absolute error"
+
+
+def _columns() -> dict[str, str]:
+    groups = {
+        "relations_": "all relations",
+        "relations_local_": "relations over at most local_s seconds",
+        "relations_long_": "relations over more than local_s seconds",
+    }
+    columns: dict[str, str] = {}
+    for prefix, group in groups.items():
+        texts = {
+            "used": f"count; {group} of which both ends have an estimated pose",
+            "total": f"count; {group} the data set has",
+            "translation_mean_m": f"m; mean length of the translation of E, {group}",
+            "translation_std_m": f"m; population standard deviation of the same, {group}",
+            "rotation_mean_deg": f"deg; mean absolute rotation angle of E, {group}",
+            "rotation_std_deg": f"deg; population standard deviation of the same, {group}",
+        }
+        columns |= {prefix + name: f"{text}; {_SOURCE}" for name, text in texts.items()}
+    return columns
+
+
+class RelationError(Metric):
+    """Error E = inv(T_start_end) inv(T_i) T_j of the estimated motion between related times.
+
+    An end of a relation is matched to the pose nearest in time, if within ``tolerance_s`` (s). The
+    default 1e-4 s is 20 times the largest rounding between the time stamps of the public logs and
+    their relations (5e-6 s, MIT CSAIL; 0 on ACES and Intel) and below the distance of any end to
+    the next other scan (2.7e-4 s, Intel), so a scan that has no pose is never stood in for by its
+    neighbour. Relations with an unmatched end are not used. ``local_s`` (s) splits by the time
+    between the ends, in either direction: long ones span loops and carry nearly all of the mean.
+
+    With no relations every key is None; with relations the counts are numbers, and the errors of
+    a group without a used relation are None.
+    """
+
+    columns: ClassVar[dict[str, str]] = _columns()
+
+    def __init__(
+        self,
+        tolerance_s: Annotated[float, Gt(0)] = 1e-4,
+        local_s: Annotated[float, Ge(0)] = 30.0,
+    ) -> None:
+        self.tolerance_s = tolerance_s
+        self.local_s = local_s
+
+    def evaluate(
+        self,
+        estimate: Trajectory,
+        truth: Trajectory | None = None,
+        relations: Relations | None = None,
+    ) -> Values:
+        """See ``Metric.evaluate``; ``truth`` is not used."""
+        if relations is None or len(relations) == 0:
+            return self.nothing()
+        known = estimate.known
+        stamps, T = estimate.stamps[known], estimate.T_world_scan[known]
+        i = nearest(stamps, relations.start, self.tolerance_s)
+        j = nearest(stamps, relations.end, self.tolerance_s)
+        used = (i >= 0) & (j >= 0)
+        E = inverse(relations.T_start_end[used]) @ inverse(T[i[used]]) @ T[j[used]]
+        translation, rotation = translation_norm(E), np.degrees(rotation_angle(E))
+
+        local = np.abs(relations.end - relations.start) <= self.local_s
+        groups = {"": np.ones_like(local), "local_": local, "long_": ~local}
+        values: Values = {}
+        for name, group in groups.items():
+            # The errors are those of the used relations: take the group's share of them.
+            inside = group[used]
+            prefix = f"relations_{name}"
+            values |= _counts(prefix, group, used)
+            values |= _spread(f"{prefix}translation", "m", translation[inside])
+            values |= _spread(f"{prefix}rotation", "deg", rotation[inside])
+        return values
+
+
+def nearest(stamps: Array, times: Array, tolerance_s: float) -> NDArray[np.intp]:
+    """Index (R,) of the stamp (N,) nearest to each time (R,), -1 if none is within tolerance.
+
+    ``stamps`` (s) in any order; of several equally near the earlier, then the first, is taken.
+    """
+    missing = np.full(len(times), -1, dtype=np.intp)
+    if len(stamps) == 0:
+        return missing
+    order = np.argsort(stamps, kind="stable")
+    ordered = stamps[order]
+    after = np.searchsorted(ordered, times).clip(max=len(stamps) - 1)
+    before = (after - 1).clip(min=0)
+    # Equal stamps sort as they came: step to the first of those before.
+    before = np.searchsorted(ordered, ordered[before])
+    best = np.where(
+        np.abs(ordered[before] - times) <= np.abs(ordered[after] - times), before, after
+    )
+    return np.where(np.abs(ordered[best] - times) <= tolerance_s, order[best], missing)
+
+
+def _counts(prefix: str, group: Mask, used: Mask) -> Values:
+    return {f"{prefix}used": int((group & used).sum()), f"{prefix}total": int(group.sum())}
+
+
+def _spread(prefix: str, unit: str, errors: Array) -> Values:
+    """Mean and population standard deviation of the errors (M,), None if there are none."""
+    some = len(errors) > 0
+    return {
+        f"{prefix}_mean_{unit}": float(errors.mean()) if some else None,
+        f"{prefix}_std_{unit}": float(errors.std()) if some else None,
+    }

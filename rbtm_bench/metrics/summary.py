@@ -1,0 +1,40 @@
+"""What a run's steps add up to: registrations, rejections, gaps, time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rbtm_bench.metrics.base import Values
+from rbtm_bench.types import StepRecord
+
+COLUMNS = {
+    "coverage": "share; scans with an accepted registration over all scans but the first; steps",
+    "registrations": "count; calls of the backend, rejected ones included; steps",
+    "rejected": "count; registrations that the check or the backend refused; steps",
+    "fallbacks": "count; scans registered to the fallback; steps",
+    "skipped": "count; scans left at their predicted pose by fallback=skip; steps",
+    "undefined_scores": "count; similarities that were undefined (NaN); steps",
+    "mean_gap": "scans; mean of scan - model over registered scans; steps",
+    "mean_fitness": "share; mean fitness over registered scans; our evaluator",
+    "ms_per_scan": "ms; mean time of prepare, describe, select and register, evaluation of the "
+    "result excluded; steps",
+}
+
+
+def summarise_steps(records: Sequence[StepRecord]) -> Values:
+    """The keys of ``COLUMNS``; a mean over nothing is None."""
+    registered = [r for r in records if r.model is not None]
+    work = [r.t_prepare_s + r.t_describe_s + r.t_select_s + r.t_register_s for r in records]
+    return {
+        "coverage": len(registered) / (len(records) - 1) if len(records) > 1 else None,
+        "registrations": sum(r.registrations for r in records),
+        "rejected": sum(r.rejected for r in records),
+        "fallbacks": sum(r.status == "fallback" for r in records),
+        "skipped": sum(r.status == "skipped" for r in records),
+        "undefined_scores": sum(r.undefined_scores for r in records),
+        "mean_gap": float(np.mean([r.gap for r in registered])) if registered else None,
+        "mean_fitness": float(np.mean([r.fitness for r in registered])) if registered else None,
+        "ms_per_scan": 1e3 * float(np.mean(work)) if work else None,
+    }

@@ -1,0 +1,209 @@
+"""Runs read back from their folders: the only source of tables and figures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rbtm_bench.errors import DataError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FIRST = (
+    "run",
+    "status",
+    "dataset",
+    "backend",
+    "selector",
+    "window",
+    "threshold",
+    "settings",
+    "seed",
+    "scans",
+    "coverage",
+    "final_translation_error_mm",
+    "final_along_mm",
+    "final_cross_mm",
+    "final_rotation_error_deg",
+    "ape_rmse_m",
+    "rpe_translation_rmse_m",
+    "rpe_rotation_rmse_deg",
+    "relations_used",
+    "relations_total",
+    "relations_translation_mean_m",
+    "relations_translation_std_m",
+    "relations_rotation_mean_deg",
+    "relations_rotation_std_deg",
+    "registrations",
+    "rejected",
+    "fallbacks",
+    "mean_gap",
+    "seconds",
+    "ms_per_scan",
+)
+"""The columns of a table, in order; a run's further metrics follow, then the reason of failure."""
+
+SAME_FOR_ALL_SEEDS = ("seed", "gaps_from", "out", "overwrite", "pin")
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run folder: ``record`` is run.json, ``config`` the resolved settings, ``metrics`` may be
+    empty (a run that failed has none)."""
+
+    path: Path
+    record: dict[str, Any]
+    config: dict[str, Any]
+    metrics: dict[str, Any]
+
+    @property
+    def done(self) -> bool:
+        return self.record.get("status") == "done"
+
+
+def read_run(path: Path) -> Run:
+    """Read a run folder. Raises ``DataError`` naming the file that is missing or damaged."""
+    from omegaconf import OmegaConf
+
+    record = _json(path / "run.json")
+    metrics = _json(path / "metrics.json") if (path / "metrics.json").is_file() else {}
+    try:
+        config = OmegaConf.to_container(OmegaConf.load(path / "config.yaml"))
+    except Exception as error:
+        raise DataError(f"{path / 'config.yaml'}: {str(error).splitlines()[0]}") from error
+    if not isinstance(config, dict):
+        raise DataError(f"{path / 'config.yaml'}: expected a mapping")
+    return Run(path, record, {str(k): v for k, v in config.items()}, metrics)
+
+
+def find_runs(paths: Iterable[Path]) -> list[Run]:
+    """The runs in or below the paths, in the order of their names.
+
+    Raises ``DataError`` for a path without any.
+    """
+    found: dict[Path, Run] = {}
+    for path in paths:
+        if not path.exists():
+            raise DataError(f"{path}: no such file or folder: expected a run or a folder of runs")
+        files = sorted(path.rglob("run.json")) if path.is_dir() else []
+        if not files:
+            raise DataError(f"{path}: holds no run (no run.json in or below it)")
+        for file in files:
+            found.setdefault(file.parent.resolve(), read_run(file.parent))
+    return list(found.values())
+
+
+def row(run: Run) -> dict[str, Any]:
+    """A run as one row of a table; what does not exist is None."""
+    selector = run.config.get("selector") or {}
+    values: dict[str, Any] = {
+        "run": run.path.name,
+        "status": run.record.get("status"),
+        **{key: run.record.get("choices", {}).get(key) for key in ("dataset", "backend")},
+        "selector": run.record.get("choices", {}).get("selector"),
+        "window": selector.get("window"),
+        "threshold": selector.get("threshold"),
+        "settings": selector_settings(selector),
+        "seed": run.record.get("seed"),
+        "scans": run.record.get("scans"),
+        "seconds": run.record.get("seconds"),
+        **run.metrics,
+    }
+    ordered = {key: values.get(key) for key in FIRST}
+    ordered.update({key: value for key, value in values.items() if key not in ordered})
+    ordered["reason"] = run.record.get("reason")
+    return ordered
+
+
+def selector_settings(selector: dict[str, Any]) -> str:
+    """The selector's settings that have no column of their own, as overrides."""
+    own = ("_target_", "window", "threshold", "seed", "gaps")
+    keyframes_unused = selector.get("content") == "scans"
+    parts = []
+    for key, value in selector.items():
+        if key in own or value is None or (keyframes_unused and key.startswith("keyframe_")):
+            continue
+        if (key, value) in (("content", "scans"), ("fallback", "previous")):
+            continue
+        parts.append(f"{key}={Path(value).name if key == 'gaps_from' else value}")
+    return " ".join(parts)
+
+
+def frame(runs: Iterable[Run]) -> pd.DataFrame:
+    """One row a run."""
+    import pandas as pd
+
+    return pd.DataFrame([row(run) for run in runs])
+
+
+def over_seeds(runs: Iterable[Run]) -> pd.DataFrame:
+    """One row a method: medians of every number over the runs that differ only in their seed.
+
+    ``seeds`` counts the runs behind a row; failed runs have no numbers and show in ``status``.
+    """
+    import pandas as pd
+
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for run in runs:
+        groups.setdefault(method_key(run), []).append(row(run))
+    return pd.DataFrame([_median_row(rows) for rows in groups.values()])
+
+
+def method_key(run: Run) -> str:
+    """What two runs share that differ only in their seed."""
+
+    def without_seeds(node: Any) -> Any:
+        if not isinstance(node, dict):
+            return node
+        return {k: without_seeds(v) for k, v in node.items() if k not in SAME_FOR_ALL_SEEDS}
+
+    own_gaps = (run.config.get("selector") or {}).get("gaps_from")
+    source = gap_source(Path(own_gaps)) if own_gaps else None
+    return json.dumps([run.record.get("choices"), without_seeds(run.config), source])
+
+
+def gap_source(path: Path) -> str:
+    """The method whose gaps a random_gap run drew."""
+    try:
+        return method_key(read_run(path))
+    except DataError:
+        return str(path)
+
+
+def _median_row(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    import pandas as pd
+
+    table = pd.DataFrame(rows)
+    out: dict[str, Any] = {}
+    for key in rows[0]:
+        column = table[key].dropna()
+        if key == "seed":
+            out["seeds"] = len(rows)
+        elif key in ("run", "settings"):
+            out[key] = rows[0][key]
+        elif key == "status":
+            done = int((table[key] == "done").sum())
+            out[key] = "done" if done == len(rows) else f"{done} of {len(rows)} done"
+        elif column.empty:
+            out[key] = None
+        elif pd.api.types.is_numeric_dtype(column) and not pd.api.types.is_bool_dtype(column):
+            out[key] = float(column.median())
+        else:
+            out[key] = column.iloc[0]
+    return out
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ValueError as error:
+        raise DataError(f"{path}: not readable as JSON: {error}") from error
+    if not isinstance(value, dict):
+        raise DataError(f"{path}: expected an object")
+    return value

@@ -1,0 +1,32 @@
+"""Control: the last keyframe."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Gt
+from numpy.typing import NDArray
+
+from rbtm_bench.selection.base import Selector
+from rbtm_bench.selection.window import Keyframes, Window
+from rbtm_bench.types import Array
+
+
+class Keyframe(Selector):
+    """Every scan is matched to the last keyframe; a scan becomes a keyframe when it moved
+    ``distance`` m or ``angle_deg`` from the last one, by estimate."""
+
+    def __init__(
+        self,
+        distance: Annotated[float, Gt(0)] = 0.3,
+        angle_deg: Annotated[float, Gt(0)] = 15.0,
+    ) -> None:
+        super().__init__(capacity=1)
+        self._keyframes = Keyframes(distance, angle_deg)
+
+    def window(self) -> Window:
+        return Window(1, self._keyframes)
+
+    def order(self, scan: int, models: NDArray[np.int64], scores: Array) -> list[tuple[int, str]]:
+        return [(0, "keyframe")]

@@ -1,0 +1,95 @@
+"""The sliding window of possible model scans: what is remembered, oldest first."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rbtm_bench.geometry import inverse, rotation_angle, translation_norm
+from rbtm_bench.types import Node
+
+
+@dataclass(frozen=True)
+class Keyframes:
+    """The window keeps a scan only when it moved this far from the last one kept, by estimate."""
+
+    distance: float
+    angle_deg: float
+
+    def is_new(self, last: Node, node: Node) -> bool:
+        T = inverse(last.T_world_scan) @ node.T_world_scan
+        moved = float(translation_norm(T)) >= self.distance
+        return moved or float(rotation_angle(T)) >= np.radians(self.angle_deg)
+
+
+class Window:
+    """The last ``capacity`` nodes kept. Memory is bounded by ``capacity``.
+
+    Descriptors and scan numbers lie in buffers of twice the capacity, so that the window is
+    always one contiguous slice and moving on costs nothing most of the time.
+    """
+
+    def __init__(self, capacity: int, keyframes: Keyframes | None = None) -> None:
+        if capacity < 1:
+            raise ValueError(f"window capacity {capacity}: expected at least 1")
+        self.capacity = capacity
+        self.keyframes = keyframes
+        self.nodes: list[Node] = []
+        self._scans = np.zeros(2 * capacity, dtype=np.int64)
+        self._descriptors: NDArray[Any] | None = None
+        self._start = self._stop = 0
+
+    def __len__(self) -> int:
+        return len(self.nodes)
+
+    @property
+    def scans(self) -> NDArray[np.int64]:
+        """Scan numbers (W,) of the members, oldest first."""
+        return self._scans[self._start : self._stop]
+
+    @property
+    def descriptors(self) -> NDArray[Any]:
+        """Descriptors (W, D) of the members, oldest first."""
+        if self._descriptors is None:
+            return np.zeros((len(self), 0))
+        return self._descriptors[self._start : self._stop]
+
+    def node(self, scan: int) -> Node:
+        """The member that is scan number ``scan``."""
+        return self.nodes[self.position(scan)]
+
+    def position(self, scan: int) -> int:
+        """Where in the window (0 = oldest) scan number ``scan`` is."""
+        position = int(np.searchsorted(self.scans, scan))
+        if position == len(self) or self.scans[position] != scan:
+            raise KeyError(f"scan {scan} is not in the window")
+        return position
+
+    def push(self, node: Node) -> None:
+        """Add a scan, newest last; the oldest goes when the window is full."""
+        if self.keyframes and self.nodes and not self.keyframes.is_new(self.nodes[-1], node):
+            return
+        self.nodes.append(node)
+        if len(self.nodes) > self.capacity:
+            del self.nodes[0]
+            self._start += 1
+        self._write(node)
+
+    def _write(self, node: Node) -> None:
+        if self._descriptors is None and node.descriptor is not None:
+            shape = (2 * self.capacity, len(node.descriptor))
+            self._descriptors = np.zeros(shape, dtype=node.descriptor.dtype)
+        if self._stop == 2 * self.capacity:
+            live = slice(self._start, self._stop)
+            count = self._stop - self._start
+            self._scans[:count] = self._scans[live]
+            if self._descriptors is not None:
+                self._descriptors[:count] = self._descriptors[live]
+            self._start, self._stop = 0, count
+        self._scans[self._stop] = node.scan
+        if self._descriptors is not None:
+            self._descriptors[self._stop] = node.descriptor
+        self._stop += 1

@@ -1,0 +1,262 @@
+"""From the words on the command line to checked settings: composed by Hydra, checked by us.
+
+Hydra composes; it does not check types or ranges. Every ``_target_`` of a composed config is
+looked up here and its values are held against the constructor's annotations (``int``,
+``Literal[...]``, ``Annotated[int, Ge(2)]`` ...) by pydantic, third-party plug-ins included.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import inspect
+import re
+import typing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from pydantic import TypeAdapter, ValidationError
+
+from rbtm_bench.errors import ConfigError
+
+PLUGIN_GROUPS = ("dataset", "backend", "similarity", "selector", "guess", "check", "target")
+GROUPS = (*PLUGIN_GROUPS, "metrics")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """One run's settings, resolved: ``config`` is plain data, ``choices`` names the members of
+    the groups (``{"backend": "open3d_p2p", ...}``), ``overrides`` are the words typed."""
+
+    config: dict[str, Any]
+    choices: dict[str, str]
+    overrides: tuple[str, ...] = ()
+
+
+def config_dir() -> Path:
+    """The folder of the shipped configs: inside the package, or beside it in a checkout."""
+    package = Path(__file__).resolve().parent
+    inside = package / "configs"
+    return inside if inside.is_dir() else package.parent / "configs"
+
+
+def compose_settings(overrides: list[str], extra_dirs: tuple[Path, ...] = ()) -> Settings:
+    """Compose and check one run's settings. Raises ``ConfigError`` for anything wrong."""
+    with composing(extra_dirs) as words:
+        return from_hydra(composed(overrides + words), tuple(overrides))
+
+
+def composed(overrides: list[str]) -> DictConfig:
+    """The composed config with Hydra's own node; mistakes become ``ConfigError``."""
+    try:
+        return compose("config", overrides=overrides, return_hydra_config=True)
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(_unknown_key(error, overrides) or explain(error)) from error
+
+
+def _unknown_key(error: Exception, overrides: list[str]) -> str | None:
+    """A sentence about the key that Hydra could not override, with the keys that there are."""
+    found = re.search(r"Could not override '([^']+)'", str(error))
+    if not found:
+        return None
+    key = found.group(1)
+    others = [word for word in overrides if word.split("=")[0].strip() != key]
+    try:
+        node: Any = compose("config", overrides=others)
+    except (HydraException, OmegaConfBaseException):
+        return None
+    *parents, last = key.split(".")
+    for parent in parents:
+        node = node.get(parent) if isinstance(node, DictConfig) else None
+    known = [str(k) for k in node if k != "_target_"] if isinstance(node, DictConfig) else []
+    return f"{key}: no such setting.{suggestion(last, known)}"
+
+
+def members(group: str, extra_dirs: tuple[Path, ...] = ()) -> list[str]:
+    """The members of a config group, ours and those of ``extra_dirs``, by name."""
+    from hydra.core.object_type import ObjectType
+
+    with composing(extra_dirs) as words:
+        loader = GlobalHydra.instance().config_loader()
+        return sorted(loader.get_group_options(group, ObjectType.CONFIG, "config", words))
+
+
+class composing:  # noqa: N801 (used as a context manager)
+    """Initialise Hydra on our configs and ``extra_dirs``; gives the overrides to add."""
+
+    def __init__(self, extra_dirs: tuple[Path, ...] = ()) -> None:
+        for folder in extra_dirs:
+            if not folder.is_dir():
+                raise ConfigError(f"--config-dir {folder}: no such folder")
+        self.words = []
+        if extra_dirs:
+            places = ",".join(f"'file://{folder.resolve()}'" for folder in extra_dirs)
+            self.words = [f"hydra.searchpath=[{places}]"]
+
+    def __enter__(self) -> list[str]:
+        GlobalHydra.instance().clear()
+        initialize_config_dir(str(config_dir()), job_name="rbtm_bench", version_base="1.3")
+        return self.words
+
+    def __exit__(self, *_: object) -> None:
+        GlobalHydra.instance().clear()
+
+
+def member_nodes(
+    group: str, extra_dirs: tuple[Path, ...] = ()
+) -> dict[str, dict[str, Any] | ConfigError]:
+    """Every member of a group with its config as written (references and ??? kept), or the
+    error that composing it gives."""
+    nodes: dict[str, dict[str, Any] | ConfigError] = {}
+    names = members(group, extra_dirs)
+    with composing(extra_dirs) as words:
+        for name in names:
+            try:
+                cfg = composed([f"{group}={name}", *words])
+                node = OmegaConf.to_container(cfg[group], resolve=False)
+                nodes[name] = {str(k): v for k, v in dict(node).items()}  # type: ignore[call-overload]
+            except ConfigError as error:
+                nodes[name] = error
+    return nodes
+
+
+def from_hydra(cfg: DictConfig, overrides: tuple[str, ...] = ()) -> Settings:
+    """Checked settings out of a composed config that still has its ``hydra`` node."""
+    choices = {str(k): str(v) for k, v in cfg.hydra.runtime.choices.items()}
+    plain = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"])
+    missing = sorted(OmegaConf.missing_keys(plain))
+    if missing:
+        raise ConfigError(f"{missing[0]} is not set: give it as {missing[0]}=<value>")
+    try:
+        config = OmegaConf.to_container(plain, resolve=True)
+    except OmegaConfBaseException as error:
+        raise ConfigError(_first_line(error)) from error
+    assert isinstance(config, dict)
+    settings = Settings(
+        {str(k): v for k, v in config.items()},
+        {group: choices[group] for group in GROUPS if group in choices},
+        overrides,
+    )
+    check(settings.config)
+    return settings
+
+
+def check(config: dict[str, Any]) -> None:
+    """Hold every ``_target_`` of the config against its constructor. Raises ``ConfigError``."""
+    for key, kind in (("seed", int), ("overwrite", bool), ("map_resolution", float)):
+        _check_value(key, config[key], kind)
+    for group in PLUGIN_GROUPS:
+        check_node(group, config.get(group))
+    for name, node in (config.get("metrics") or {}).items():
+        check_node(f"metrics.{name}", node)
+
+
+def check_node(name: str, node: Any) -> None:
+    """Check one plug-in's node: its class exists, it knows every key, and every value fits."""
+    if not isinstance(node, dict) or "_target_" not in node:
+        raise ConfigError(f"{name}: expected a config with a _target_, got {node!r}")
+    parameters = constructor_parameters(name, str(node["_target_"]))
+    given = {k: v for k, v in node.items() if not k.startswith("_")}
+    accepts_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+    for key, value in given.items():
+        if key not in parameters:
+            if accepts_any:
+                continue
+            known = [k for k, p in parameters.items() if p.kind is not p.VAR_KEYWORD]
+            raise ConfigError(f"{name}.{key}: no such setting.{suggestion(key, known)}")
+        _check_value(f"{name}.{key}", value, parameters[key].annotation)
+    for key, parameter in parameters.items():
+        required = parameter.default is parameter.empty and parameter.kind not in (
+            parameter.VAR_KEYWORD,
+            parameter.VAR_POSITIONAL,
+        )
+        if required and key not in given:
+            raise ConfigError(f"{name}.{key} is not set: {node['_target_']} requires it")
+
+
+def locate(name: str, target: str) -> Any:
+    """The class that ``_target_`` names. Raises ``ConfigError`` saying why it is not there."""
+    module_name, _, attribute = target.rpartition(".")
+    try:
+        return getattr(importlib.import_module(module_name), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ConfigError(f"{name}: cannot load {target}: {error}") from error
+
+
+def constructor_parameters(name: str, target: str) -> dict[str, inspect.Parameter]:
+    """The constructor's parameters with evaluated annotations."""
+    cls = locate(name, target)
+    signature = inspect.signature(cls)
+    init = cls.__init__ if inspect.isclass(cls) else cls
+    try:
+        hints = typing.get_type_hints(init, include_extras=True)
+    except (NameError, TypeError):
+        hints = {}
+    return {
+        key: parameter.replace(annotation=hints.get(key, Any))
+        for key, parameter in signature.parameters.items()
+    }
+
+
+def suggestion(word: str, known: list[str]) -> str:
+    """" Did you mean x? Known: ..." for a mistyped word."""
+    close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
+    meant = f" Did you mean {close[0]}?" if close else ""
+    return f"{meant} Known: {', '.join(known) if known else '(none)'}"
+
+
+def explain(error: Exception) -> str:
+    """One or two lines out of Hydra's longer ones, naming the offending word."""
+    chain: list[str] = []
+    current: BaseException | None = error
+    while current is not None:
+        chain.append(str(current))
+        current = current.__cause__
+    text = "\n".join(chain)
+    missing = getattr(error, "missing_cfg_file", None)
+    if missing:
+        group, _, option = str(missing).rpartition("/")
+        options = [str(o) for o in getattr(error, "options", None) or []]
+        label = f"{group}={option}" if group else str(missing)
+        return f"{label}: no such {group or 'config'}.{suggestion(option, options)}"
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    drop = ("full_key", "object_type", "reference_type", "To append", "Set the environment")
+    kept = [line for line in dict.fromkeys(lines) if not line.startswith(drop)]
+    return " | ".join(kept[:3])
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0]
+
+
+def _check_value(name: str, value: Any, annotation: Any) -> None:
+    """One value against one annotation, without converting numbers from words or booleans."""
+    if annotation is Any or annotation is inspect.Parameter.empty:
+        return
+    try:
+        adapter: TypeAdapter[Any] = TypeAdapter(annotation)
+    except Exception:  # an annotation that pydantic has no schema for: nothing to check against
+        return
+    try:
+        adapter.validate_python(value, strict=True)
+    except ValidationError as error:
+        if isinstance(value, str) and _is_text_like(adapter, value):
+            return
+        problem = error.errors()[0]
+        raise ConfigError(
+            f"{name}={value}: {problem['msg'][0].lower()}{problem['msg'][1:]}"
+        ) from error
+
+
+def _is_text_like(adapter: TypeAdapter[Any], value: str) -> bool:
+    """A string may stand for a path or an enum member, never for a number or a truth value."""
+    try:
+        return not isinstance(adapter.validate_python(value), int | float | bool)
+    except ValidationError:
+        return False

@@ -1,0 +1,150 @@
+"""Curvature made robust: a wider difference, an angle that wraps, optional lags.
+
+phi lives modulo pi, so it is compared as u = exp(2i phi). With a half-span of several beams the
+difference of two points is long against the range noise. See docs/similarity.md for what each
+setting is for and what was measured.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from annotated_types import Ge, Gt, Le
+
+from rbtm_bench.datasets.base import Dataset
+from rbtm_bench.errors import ConfigError, DataError
+from rbtm_bench.similarity.base import Descriptor, Similarity, require_beams
+from rbtm_bench.types import Array, Scan
+
+NEGLIGIBLE_VARIANCE = 1e-9
+
+
+class CurvatureCircular(Similarity):
+    """Circular correlation of curvature angles over the beams that both scans have.
+
+    With u_j = exp(2i phi_j) and the mean over shared beams, the score is
+    ``max over lags L of f(mean(u_j[b + L] conj(u_k[b])))``, where a lag of L beams of spacing
+    delta stands for a rotation by L delta and hence for a phase of 2 L delta:
+
+    - ``lag_phase="consistent"``: f(z) = Re(exp(-2i L delta) z), the phase must fit the lag;
+    - ``lag_phase="free"``: f(z) = |z|, any constant turn of the angles is forgiven.
+
+    ``center=True`` removes the means and divides by the deviations, as equation (3) does.
+
+    Parameters: ``half_span_deg`` of the difference, ``max_lag_deg`` (0: no lags),
+    ``min_valid_share`` of beams that both scans must have, ``min_variance`` in [0, 1] of u over a
+    scan's beams (1 - |mean u|^2). A scan below it (a bare wall) says nothing about place: its
+    scores are NaN, as are those over too few shared beams.
+    """
+
+    def __init__(
+        self,
+        half_span_deg: Annotated[float, Gt(0), Le(45)] = 3.0,
+        max_lag_deg: Annotated[float, Ge(0), Le(180)] = 0.0,
+        lag_phase: Literal["consistent", "free"] = "free",
+        center: bool = False,
+        min_valid_share: Annotated[float, Ge(0), Le(1)] = 0.5,
+        min_variance: Annotated[float, Ge(0), Le(1)] = 0.05,
+    ) -> None:
+        self.half_span_deg = half_span_deg
+        self.max_lag_deg = max_lag_deg
+        self.lag_phase = lag_phase
+        self.center = center
+        self.min_valid_share = min_valid_share
+        self.min_variance = min_variance
+        self._spacing: float | None = None
+
+    def check(self, dataset: Dataset) -> None:
+        require_beams(dataset, "curvature_circular")
+
+    def describe(self, scan: Scan) -> Array:
+        """(3 B',) real: Re u, Im u and the mask of the B' = B - 2h beams; 0 where undefined."""
+        assert scan.ranges is not None and scan.angles is not None
+        return self.describe_beams(scan.ranges, scan.angles)
+
+    def describe_beams(self, ranges: Array, angles: Array) -> Array:
+        """As ``describe``, of beams (B,) in m (NaN: no return) at evenly spaced angles in rad."""
+        h = self._half_span_beams(angles)
+        x, y = ranges * np.cos(angles), ranges * np.sin(angles)
+        dx, dy = x[2 * h :] - x[: -2 * h], y[2 * h :] - y[: -2 * h]
+        double = 2.0 * np.arctan2(dy, dx)
+        known = np.isfinite(double) & ((dx != 0) | (dy != 0))
+        u = np.where(known, np.exp(1j * np.where(known, double, 0.0)), 0.0)
+        count = known.sum()
+        variance = 1.0 - abs(u.sum() / count) ** 2 if count else 0.0
+        if variance < self.min_variance:
+            return np.zeros(3 * len(u))
+        return np.concatenate([u.real, u.imag, known])
+
+    def scores(self, window: Descriptor, descriptor: Descriptor) -> Array:
+        return self.pairwise(window, descriptor[None])[:, 0]
+
+    def pairwise(self, rows: Descriptor, columns: Descriptor) -> Array:
+        beams = rows.shape[1] // 3
+        best = np.full((len(rows), len(columns)), np.nan)
+        for lag in self._lags():
+            # beam b + lag of the row meets beam b of the column
+            shifted = _shift(columns, lag, beams)
+            score = self._score(rows, shifted, lag, beams)
+            best = np.fmax(best, score)
+        return best
+
+    def _score(self, rows: Descriptor, columns: Descriptor, lag: int, beams: int) -> Array:
+        a, b, m = columns[:, :beams], columns[:, beams : 2 * beams], columns[:, 2 * beams :]
+        shared = rows[:, 2 * beams :] @ m.T
+        real = rows[:, : 2 * beams] @ columns[:, : 2 * beams].T
+        imag = rows[:, : 2 * beams] @ np.concatenate([-b, a], axis=1).T
+        z = real + 1j * imag
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z /= shared
+            if self.center:
+                z = _centred(z, rows, columns, shared, beams)
+        if self.lag_phase == "consistent":
+            score = np.real(np.exp(-2j * lag * (self._spacing or 0.0)) * z)
+        else:
+            score = np.abs(z)
+        enough = shared >= max(1.0, self.min_valid_share * beams)
+        return np.where(enough, np.clip(score, -1.0, 1.0), np.nan)
+
+    def _lags(self) -> range:
+        most = round(np.radians(self.max_lag_deg) / self._spacing) if self._spacing else 0
+        return range(-most, most + 1)
+
+    def _half_span_beams(self, angles: Array) -> int:
+        spacing = float(angles[-1] - angles[0]) / (len(angles) - 1)
+        if self._spacing is None:
+            self._spacing = spacing
+        elif abs(spacing - self._spacing) > 1e-9:
+            raise DataError("curvature_circular: the beam spacing changes within the data set")
+        h = max(1, round(np.radians(self.half_span_deg) / spacing))
+        if 2 * h >= len(angles):
+            raise ConfigError(
+                f"similarity.half_span_deg={self.half_span_deg} spans {2 * h} of "
+                f"{len(angles)} beams: expected a smaller angle"
+            )
+        return h
+
+
+def _shift(columns: Descriptor, lag: int, beams: int) -> Descriptor:
+    """Each of the three parts moved up by ``lag`` beams, zeros (no return) coming in."""
+    if lag == 0:
+        return columns
+    parts = columns.reshape(len(columns), 3, beams)
+    out = np.zeros_like(parts)
+    if lag > 0:
+        out[:, :, lag:] = parts[:, :, :-lag]
+    else:
+        out[:, :, :lag] = parts[:, :, -lag:]
+    return out.reshape(len(columns), 3 * beams)
+
+
+def _centred(z: Array, rows: Descriptor, columns: Descriptor, shared: Array, beams: int) -> Array:
+    """The complex correlation coefficient from z = mean(u conj v): |u| = |v| = 1 on shared beams,
+    so each variance is 1 - |mean|^2."""
+    m_rows, m_cols = rows[:, 2 * beams :], columns[:, 2 * beams :]
+    mean_u = (rows[:, :beams] + 1j * rows[:, beams : 2 * beams]) @ m_cols.T / shared
+    mean_v = m_rows @ (columns[:, :beams] + 1j * columns[:, beams : 2 * beams]).T / shared
+    variance = (1.0 - np.abs(mean_u) ** 2) * (1.0 - np.abs(mean_v) ** 2)
+    variance = np.where(variance > NEGLIGIBLE_VARIANCE, variance, np.nan)
+    return (z - mean_u * np.conj(mean_v)) / np.sqrt(variance)

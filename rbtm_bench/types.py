@@ -1,0 +1,127 @@
+"""The nouns of the field, as small frozen records.
+
+Units are metres, radians and seconds. Poses are 4x4 float64 and named by direction:
+``T_target_source`` maps points of the source frame into the target frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """One sensor reading.
+
+    ``points`` (N, 3) m in the sensor frame, returns only. ``ranges`` and ``angles`` (B,) m and rad
+    hold every beam in the order of sensing, NaN for a beam with no return; both are None for a
+    cloud without beams. ``odometry`` and ``ground_truth`` are T_world_sensor, each in a world
+    frame of its own. ``planar`` says that all points lie in z = 0 and motion stays in that plane.
+    """
+
+    index: int
+    stamp: float
+    points: Array
+    planar: bool = False
+    ranges: Array | None = None
+    angles: Array | None = None
+    odometry: Array | None = None
+    ground_truth: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Node:
+    """A scan with its pose: what guesses and targets may know of it.
+
+    ``prepared`` is the backend's business and ``descriptor`` the similarity's; None if unused.
+    """
+
+    scan: int
+    stamp: float
+    T_world_scan: Array
+    odometry: Array | None = None
+    prepared: Any = None
+    descriptor: NDArray[Any] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RegistrationResult:
+    """What a backend found out about one pair of scans.
+
+    ``fitness`` (share of source points with a target point within the radius) and
+    ``inlier_rmse`` (m, NaN without inliers) come from our own evaluator, the same for every
+    backend; the library's own values are kept beside as ``library_*`` where it has any.
+    ``converged`` and ``iterations`` are None where the library does not say.
+    ``information`` is the 6x6 information matrix of the motion, where known.
+    """
+
+    T_target_source: Array
+    converged: bool | None
+    fitness: float
+    inlier_rmse: float
+    inliers: int
+    iterations: int | None = None
+    seconds: float = 0.0
+    information: Array | None = None
+    library_fitness: float | None = None
+    library_rmse: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """A measured (or, for ``kind`` "predicted", assumed) motion between two scans."""
+
+    model: int
+    scan: int
+    T_model_scan: Array
+    information: Array | None = None
+    kind: str = "registered"
+
+
+@dataclass
+class StepRecord:
+    """One row of ``steps.parquet``: how a scan found its pose. Times in s, distances in m.
+
+    ``status``: first (the start), registered, fallback (the fallback's registration), skipped
+    (no candidate, fallback "skip"), predicted (every candidate was rejected), unusable (the
+    backend could not prepare the scan). ``gap`` is scan - model in scans of the data set.
+    ``score`` is the similarity to the model scan, NaN if undefined or not asked for.
+    """
+
+    scan: int
+    stamp: float
+    model: int | None = None
+    gap: int | None = None
+    score: float | None = None
+    candidates: int = 0
+    undefined_scores: int = 0
+    rejected: int = 0
+    registrations: int = 0
+    status: str = "first"
+    reason: str = ""
+    converged: bool | None = None
+    fitness: float | None = None
+    inlier_rmse_m: float | None = None
+    iterations: int | None = None
+    library_fitness: float | None = None
+    library_rmse_m: float | None = None
+    t_prepare_s: float = 0.0
+    t_describe_s: float = 0.0
+    t_select_s: float = 0.0
+    t_register_s: float = 0.0
+    t_check_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What the loop hands out for every scan: its row, its edges and the pose they give."""
+
+    record: StepRecord
+    edges: tuple[Edge, ...]
+    T_world_scan: Array

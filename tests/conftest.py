@@ -1,0 +1,20 @@
+"""Fixtures that every test may use."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """The folder of real logs: skipped without it, but never silently where CI runs."""
+    folder = os.environ.get("RBTM_BENCH_DATA")
+    if folder:
+        return Path(folder)
+    message = "RBTM_BENCH_DATA is not set: the folder with freiburg/, corrected/ and kitti/"
+    if os.environ.get("CI") == "true":
+        pytest.fail(message)
+    pytest.skip(message)
