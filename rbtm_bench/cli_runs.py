@@ -92,6 +92,7 @@ def run(words: list[str]) -> int:
 def compare(words: list[str]) -> int:
     """``rbtm-bench compare``."""
     from rbtm_bench import comparison, summary
+    from rbtm_bench.experiment import refuse_existing
     from rbtm_bench.grid import make_points
 
     options, overrides = parse("compare", COMPARE_HELP, words)
@@ -100,14 +101,16 @@ def compare(words: list[str]) -> int:
         raise ConfigError(f"--jobs {jobs}: expected at least 1")
     points, notes = make_points(overrides, tuple(map(Path, options.config_dir)))
     out = Path(points[0].settings.config["out"] or default_folder("compare"))
-    comparison.prepare_folder(out, bool(points[0].settings.config["overwrite"]))
+    refuse_existing(out, bool(points[0].settings.config["overwrite"]))
     for note in notes:
         print(note, file=sys.stderr)
+    jobs = min(jobs, len(points))
     if jobs == 1 and points[0].settings.config["pin"]:
         from rbtm_bench.pinning import pin_to_free_core
 
         pin_to_free_core()
     comparison.check_data(points)
+    comparison.make_folder(out)
     failed: list[str] = []
     with bar("runs", len(points)) as progress:
 
@@ -124,6 +127,9 @@ def compare(words: list[str]) -> int:
 def sweep(words: list[str]) -> int:
     """``rbtm-bench sweep``: Hydra's multirun over ``experiment.run``."""
     from rbtm_bench import summary
+    from rbtm_bench.experiment import refuse_existing
+    from rbtm_bench.grid import check_values
+    from rbtm_bench.pinning import pin_to_free_core
 
     options, overrides = parse("sweep", SWEEP_HELP, words)
     out = Path(default_folder("sweeps"))
@@ -134,12 +140,13 @@ def sweep(words: list[str]) -> int:
             out = Path(value)
         else:
             kept.append(word)
-    overwrite = any(word.replace(" ", "").lower() == "overwrite=true" for word in kept)
-    from rbtm_bench.comparison import prepare_folder
-
-    prepare_folder(out, overwrite)
+    first = check_values(kept, tuple(map(Path, options.config_dir)))
+    refuse_existing(out, bool(first.config["overwrite"]))
+    launchers = [word for word in kept if word.startswith("hydra/launcher=")]
+    if first.config["pin"] and launchers in ([], ["hydra/launcher=basic"]):
+        pin_to_free_core()  # the jobs run in this very process
     flags = [part for folder in options.config_dir for part in ("--config-dir", folder)]
-    hydra_main([*flags, "--multirun", f"hydra.sweep.dir='{out}'", *kept], _sweep_job)
+    hydra_main([*flags, "--multirun", f"hydra.sweep.dir='{out}'", *kept], sweep_job)
     runs = sorted((p.parent for p in out.glob("*/run.json")), key=_by_number)
     if not runs:
         raise RunError(f"{out}: the sweep left no run")
@@ -149,7 +156,7 @@ def sweep(words: list[str]) -> int:
 
 def hydra_itself(words: list[str]) -> int:
     """Hydra's own answers: ``--cfg``, ``--info``, ``--hydra-help``."""
-    hydra_main(words, _sweep_job)
+    hydra_main(words, sweep_job)
     return 0
 
 
@@ -174,7 +181,7 @@ def hydra_main(words: list[str], task: Any) -> None:
             del os.environ["HYDRA_FULL_ERROR"]
 
 
-def _sweep_job(cfg: Any) -> None:
+def sweep_job(cfg: Any) -> None:
     """One job of a sweep, in whatever process the launcher runs it; never raises."""
     from hydra.core.hydra_config import HydraConfig
     from omegaconf import OmegaConf, open_dict

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rbtm_bench import experiment
-from rbtm_bench.errors import ConfigError
+from rbtm_bench.errors import ConfigError, RunError
 from rbtm_bench.grid import Point
 from rbtm_bench.settings import locate
+
+Tasks = dict[str, tuple[Any, Path]]
+"""A point's name -> its settings and its folder."""
 
 Done = Callable[[str, dict[str, Any]], None]
 """Called with a point's name and its ``run.json`` whenever a run has ended."""
@@ -47,9 +51,14 @@ def run_points(points: Sequence[Point], out: Path, jobs: int, done: Done) -> Non
     """
     for late in (False, True):
         batch = [point for point in points if (point.gaps_of is not None) is late]
-        tasks = [(point.name, _placed(point, out), out / point.name) for point in batch]
+        tasks = {point.name: (_placed(point, out), out / point.name) for point in batch}
         for name, record in _results(tasks, jobs):
+            del tasks[name]
             done(name, record)
+        for name, (settings, folder) in tasks.items():
+            error = RunError("the worker process died")
+            experiment.fail(settings, folder, error)
+            done(name, {"status": "failed", "reason": str(error)})
 
 
 def default_jobs() -> int:
@@ -59,9 +68,8 @@ def default_jobs() -> int:
     return os.cpu_count() or 1
 
 
-def prepare_folder(out: Path, overwrite: bool) -> None:
-    """Make the comparison's folder; refuse one that holds anything, unless it may be replaced."""
-    experiment.refuse_existing(out, overwrite)
+def make_folder(out: Path) -> None:
+    """Make the comparison's folder. Raises ``ConfigError`` where that cannot be done."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -76,13 +84,19 @@ def _placed(point: Point, out: Path) -> Any:
     return replace(point.settings, config=config)
 
 
-def _results(tasks: list[tuple[str, Any, Path]], jobs: int) -> Any:
-    if jobs == 1 or len(tasks) < 2:
-        return (run_one(*task) for task in tasks)
+def _results(tasks: Tasks, jobs: int) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Names and records as runs end; stops early if a worker dies, without its whole batch."""
+    if jobs == 1:
+        for name, task in list(tasks.items()):
+            yield run_one(name, *task)
+        return
     from joblib import Parallel, delayed
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
 
-    parallel = Parallel(n_jobs=min(jobs, len(tasks)), return_as="generator_unordered")
-    return parallel(delayed(run_one)(*task) for task in tasks)
+    work = [delayed(run_one)(name, *task) for name, task in tasks.items()]
+    parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
+    with contextlib.suppress(TerminatedWorkerError):
+        yield from parallel(work)
 
 
 def run_one(name: str, settings: Any, out: Path) -> tuple[str, dict[str, Any]]:

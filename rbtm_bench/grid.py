@@ -23,6 +23,7 @@ from rbtm_bench.errors import ConfigError
 from rbtm_bench.settings import (
     GROUPS,
     Settings,
+    compose_settings,
     composed,
     composing,
     explain,
@@ -72,6 +73,31 @@ def make_points(
     return _named(_merge(found, notes)), list(dict.fromkeys(notes))
 
 
+def check_values(words: list[str], extra_dirs: tuple[Path, ...] = ()) -> Settings:
+    """Check every value of a sweep's lists by itself, beside the first of all others.
+
+    Returns the sweep's first point. Raises ``ConfigError`` before anything has run.
+    """
+    try:
+        overrides = OverridesParser.create().parse_overrides(
+            [word for word in words if not word.startswith("hydra")]
+        )
+    except HydraException as error:
+        raise ConfigError(explain(error)) from error
+    lists = [
+        [f"{o.input_line.partition('=')[0]}={v}" for v in o.sweep_string_iterator()]
+        if o.is_sweep_override()
+        else [str(o.input_line)]
+        for o in overrides
+    ]
+    first = [values[0] for values in lists]
+    settings = compose_settings(first, extra_dirs)
+    for position, values in enumerate(lists):
+        for value in values[1:]:
+            compose_settings([*first[:position], value, *first[position + 1 :]], extra_dirs)
+    return settings
+
+
 def _sort_overrides(
     words: list[str],
 ) -> tuple[dict[str, list[str]], dict[str, list[Any]], list[str]]:
@@ -109,7 +135,7 @@ def _values(override: Override, text: bool) -> list[Any]:
 def _declares(config: DictConfig, key: str) -> bool:
     node: Any = config
     for part in key.split("."):
-        if not isinstance(node, DictConfig) or part not in node:
+        if not isinstance(node, DictConfig) or part not in node.keys():  # noqa: SIM118 (also ???)
             return False
         node = node._get_node(part)
     return True

@@ -34,10 +34,10 @@ def pin_to_free_core() -> int | None:
 
 def _claim(core: int) -> bool:
     """Try to lock a core's file."""
-    folder = Path(tempfile.gettempdir()) / f"rbtm_bench-{os.getuid()}"
     try:
+        folder = Path(tempfile.gettempdir()) / f"rbtm_bench-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
-        lock = open(folder / f"core-{core}.lock", "w")  # noqa: SIM115 (held until exit)
+        lock = open(folder / f"core-{core}.lock", "a")  # noqa: SIM115 (held until exit)
     except OSError:
         return False
     try:

@@ -121,7 +121,7 @@ def row(run: Run) -> dict[str, Any]:
 
 def selector_settings(selector: dict[str, Any]) -> str:
     """The selector's settings that have no column of their own, as overrides."""
-    own = ("_target_", "window", "threshold", "seed", "gaps")
+    own = ("_target_", "window", "threshold", "seed", "gaps", "gaps_from")
     keyframes_unused = selector.get("content") == "scans"
     parts = []
     for key, value in selector.items():
@@ -129,7 +129,9 @@ def selector_settings(selector: dict[str, Any]) -> str:
             continue
         if (key, value) in (("content", "scans"), ("fallback", "previous")):
             continue
-        parts.append(f"{key}={Path(value).name if key == 'gaps_from' else value}")
+        parts.append(f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}")
+    if selector.get("gaps_from"):
+        parts.append(f"gaps of {gap_source(Path(selector['gaps_from']))}")
     return " ".join(parts)
 
 
@@ -150,7 +152,11 @@ def over_seeds(runs: Iterable[Run]) -> pd.DataFrame:
     groups: dict[str, list[dict[str, Any]]] = {}
     for run in runs:
         groups.setdefault(method_key(run), []).append(row(run))
-    return pd.DataFrame([_median_row(rows) for rows in groups.values()])
+    rows = [_median_row(group) for group in groups.values()]
+    order: dict[tuple[Any, Any], int] = {}
+    for one in rows:
+        order.setdefault((one["dataset"], one["backend"]), len(order))
+    return pd.DataFrame(sorted(rows, key=lambda r: order[(r["dataset"], r["backend"])]))
 
 
 def method_key(run: Run) -> str:
@@ -161,17 +167,20 @@ def method_key(run: Run) -> str:
             return node
         return {k: without_seeds(v) for k, v in node.items() if k not in SAME_FOR_ALL_SEEDS}
 
-    own_gaps = (run.config.get("selector") or {}).get("gaps_from")
-    source = gap_source(Path(own_gaps)) if own_gaps else None
-    return json.dumps([run.record.get("choices"), without_seeds(run.config), source])
+    settings = selector_settings(run.config.get("selector") or {})
+    return json.dumps([run.record.get("choices"), without_seeds(run.config), settings])
 
 
 def gap_source(path: Path) -> str:
-    """The method whose gaps a random_gap run drew."""
+    """The method whose gaps a random_gap run drew, e.g. "rbtm window=64 threshold=0.5"."""
     try:
-        return method_key(read_run(path))
+        source = read_run(path)
     except DataError:
-        return str(path)
+        return path.name
+    selector = source.config.get("selector") or {}
+    values = [f"{key}={selector[key]:g}" for key in ("window", "threshold") if key in selector]
+    name = str(source.record.get("choices", {}).get("selector"))
+    return " ".join([name, *values, selector_settings(selector)]).strip()
 
 
 def _median_row(rows: list[dict[str, Any]]) -> dict[str, Any]:

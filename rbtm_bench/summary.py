@@ -52,10 +52,12 @@ def of_runs(out: Path, folders: Sequence[Path]) -> str:
     write_text(out / "table.csv", tables.render(every, "csv") + "\n")
     write_text(out / "summary.csv", tables.render(methods, "csv") + "\n")
     seeds = int(methods["seeds"].max())
-    lines = [tables.render(tables.short(methods), "text")]
+    screen, same = tables.screen(methods)
+    lines = [tables.render(screen, "text")]
+    lines += [f"the same in every row: {same}"] if same else []
     if seeds > 1:
         lines.append(f"medians over the runs of a method that differ only in their seed ({seeds})")
-    lines += tables.verdict(methods, every)
+    lines += tables.verdict(methods)
     lines.append(f"a row a run: {out / 'table.csv'}; a row a method: {out / 'summary.csv'}")
     lines.append(f"figures: rbtm-bench plot {out}")
     return "\n".join(lines)

@@ -47,6 +47,8 @@ SHORT = (
 )
 """The columns of the table at the end of ``compare``."""
 
+ALWAYS = ("backend", "selector")
+
 
 def render(table: pd.DataFrame, fmt: str) -> str:
     """The table in one of ``FORMATS``. Text, Markdown, LaTeX and HTML leave out columns that are
@@ -83,16 +85,21 @@ def existing_columns(table: pd.DataFrame, names: str) -> list[str]:
     return wanted
 
 
-def short(table: pd.DataFrame) -> pd.DataFrame:
-    """The columns that fit a screen."""
-    return table[[c for c in SHORT if c in table]]
+def screen(table: pd.DataFrame) -> tuple[pd.DataFrame, str]:
+    """The columns that fit a screen, and in words those that are the same in every row."""
+    shown = table[[c for c in SHORT if c in table]]
+    if len(table) < 2:
+        return shown, ""
+    same = [c for c in shown if c not in ALWAYS and len({_word(v) for v in shown[c]}) == 1]
+    words = [f"{c} {_word(shown[c].iloc[0])}" for c in same if _word(shown[c].iloc[0])]
+    return shown.drop(columns=same), ", ".join(words)
 
 
-def verdict(table: pd.DataFrame, runs: pd.DataFrame) -> list[str]:
+def verdict(table: pd.DataFrame) -> list[str]:
     """Sentences, computed from the numbers, on how rbtm compares with its controls.
 
-    ``table`` has a row a method (medians over seeds), ``runs`` a row a run. A line for every
-    data set and backend that has rbtm and at least one control.
+    ``table`` has a row a method (medians over seeds). A line for every data set and backend that
+    has rbtm and at least one control. Not a test of significance: medians are compared.
     """
     lines = []
     usable = [c for c in ERRORS if c[0] in table and table[c[0]].notna().any()]
@@ -107,20 +114,32 @@ def verdict(table: pd.DataFrame, runs: pd.DataFrame) -> list[str]:
             continue
         best, rival = ours.loc[ours[key].idxmin()], controls.loc[controls[key].idxmin()]
         line = (
-            f"{dataset}, {backend}: {name} of {_label(best)} is {best[key]:.3g} {unit}, "
-            f"of the best control, {_label(rival)}, {rival[key]:.3g} {unit}: "
+            f"{dataset}, {backend}: {name} of {_label(best)} is {_figure(best[key])} {unit}, "
+            f"of the best control, {_label(rival)}, {_figure(rival[key])} {unit}: "
             f"{_relation(float(best[key]), float(rival[key]))}"
         )
         previous = rows[rows.selector == "previous"]
         if not previous.empty and rival.selector != "previous":
             value = float(previous[key].min())
-            line += f"; previous {value:.3g} {unit}, {_relation(float(best[key]), value)}"
+            line += f"; previous {_figure(value)} {unit}, {_relation(float(best[key]), value)}"
+        line += _without_registration(table, dataset, key, unit, float(best[key]))
         tries = rows.groupby("selector", sort=False).size()
         if tries.max() > 1:
             line += ". Best of " + ", ".join(f"{n} x {s}" for s, n in tries.items())
             line += " settings, chosen on this very data"
         lines.append(line + ".")
     return lines
+
+
+def _without_registration(
+    table: pd.DataFrame, dataset: str, key: str, unit: str, ours: float
+) -> str:
+    """The baseline that every registration has to beat, where the table has it."""
+    rows = table[(table.dataset == dataset) & (table.backend == "none")][key].dropna()
+    if rows.empty:
+        return ""
+    value = float(rows.min())
+    return f"; no registration {_figure(value)} {unit}, {_relation(ours, value)}"
 
 
 def _label(row: pd.Series[Any]) -> str:
@@ -139,6 +158,11 @@ def _relation(ours: float, other: float) -> str:
     if ratio < 1.05:
         return "rbtm is as good, within 5%"
     return f"rbtm is {ratio:.3g} times {'better' if ours < other else 'worse'}"
+
+
+def _figure(value: float) -> str:
+    """Three significant digits, without an exponent for everyday numbers."""
+    return f"{value:.0f}" if 100 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
 def _stacked(column: str) -> str:

@@ -10,6 +10,7 @@ from annotated_types import Ge
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.geometry import inverse
 from rbtm_bench.selection.window import Window
+from rbtm_bench.types import Node
 
 
 class Target(ABC):
@@ -35,12 +36,13 @@ class LocalMap(Target):
 
     def __init__(self, neighbours: Annotated[int, Ge(1)] = 2) -> None:
         self.neighbours = neighbours
-        self._last: tuple[tuple[int, ...], Prepared] | None = None
+        self._last: tuple[list[Node], Prepared] | None = None
 
     def build(self, model: int, window: Window, backend: Backend) -> Prepared:
         at = window.position(model)
         members = window.nodes[max(0, at - self.neighbours) : at + self.neighbours + 1]
-        key = (model, *(node.scan for node in members))
+        # nodes compare by identity: scan numbers alone would mix up two runs of one object
+        key = [window.nodes[at], *members]
         if self._last is None or self._last[0] != key:
             T_model_world = inverse(window.nodes[at].T_world_scan)
             parts = [(node.prepared, T_model_world @ node.T_world_scan) for node in members]

@@ -150,7 +150,7 @@ else
     "$python" -m venv "$venv"
 fi
 [ "$requirement" = . ] || kind=dev
-say "installing Python packages into .venv (1.9 GB on disk, a minute or so)"
+say "installing Python packages into .venv (up to 1.9 GB; a minute or so)"
 install_python_packages || fail "installing the Python packages failed (the words are above)"
 "$venv/bin/python" -c 'import kiss_icp, open3d, rbtm_bench' ||
     fail "the packages are installed but cannot be imported (the words are above)"

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -64,6 +64,10 @@ class Backend(ABC):
 
     requires: tuple[str, ...] = ()
     """Names of the Python packages that must be importable."""
+    dimensions: tuple[Literal["2d", "3d"], ...] = ("2d", "3d")
+    """What the method can register: planar scans ("2d"), clouds in space ("3d")."""
+    is_baseline: bool = False
+    """True for a method that hands back its guess: the contract does not expect it to be right."""
 
     def __init__(
         self,

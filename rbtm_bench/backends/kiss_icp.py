@@ -29,9 +29,9 @@ class KissICP(Backend):
     Point-to-point with a Geman-McClure-like kernel of ``kernel`` m (default: a third of the
     correspondence distance, KISS-ICP's own ratio). ``map_voxel_size`` m is the map's voxel
     (default: the correspondence distance, since the map is searched one voxel around a point) and
-    ``max_points_per_voxel`` its density (KISS-ICP itself uses 20; with 100 a 2D scan in 0.3 m voxels
-    keeps enough points for millimetres). To fill the map from the model scan and its neighbours,
-    choose ``target=local_map``. The library gives only a pose (its guess, where nothing
+    ``max_points_per_voxel`` its density (KISS-ICP itself uses 20; with 100 a 2D scan in 0.3 m
+    voxels keeps enough points for millimetres). To fill the map from the model scan and its
+    neighbours, choose ``target=local_map``. The library gives only a pose (its guess, where nothing
     corresponds): ``converged`` is False without inliers, else None.
     """
 

@@ -9,6 +9,8 @@ from rbtm_bench.types import Array
 class NoRegistration(Backend):
     """Hands back the initial guess: dead reckoning by the ``guess`` in use."""
 
+    is_baseline = True
+
     def build(self, points: Array, planar: bool) -> None:
         return None
 

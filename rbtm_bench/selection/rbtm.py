@@ -19,10 +19,10 @@ class Rbtm(Selector):
     ``window`` counts the new scan, as in the paper: w - 1 past scans are candidates. All that
     pass are handed over, oldest first, so that a rejected registration leads to the next.
     ``fallback`` says what follows when none passes or all are rejected: "previous" is the newest
-    member of the window, "best" the most similar one, "skip" leaves the scan at its predicted
-    pose and never uses it as a model. ``content="keyframes"`` fills the window with scans that
-    moved ``keyframe_distance`` m or ``keyframe_angle_deg`` by estimate; every scan is still
-    registered.
+    member of the window, "best" the most similar one, "skip" nothing: the scan is left at its
+    predicted pose and, if none passed, is never a model. ``content="keyframes"`` fills the window
+    with scans that moved ``keyframe_distance`` m or ``keyframe_angle_deg`` by estimate; every scan
+    is still registered.
     """
 
     needs_scores = True

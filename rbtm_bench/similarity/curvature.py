@@ -1,7 +1,8 @@
 """The paper's own descriptor and score, equations (1) to (3), literally.
 
-It is exact without noise and drowns in it: the difference of two neighbouring beams' points is
-mostly range noise (see docs/similarity.md for the figures). ``curvature_circular`` mends that.
+It drowns in range noise: the difference of two neighbouring beams' points is mostly noise. And a
+wall at phi = pi/2 jumps to -pi/2 by rounding alone (see docs/similarity.md for the figures).
+``curvature_circular`` mends both.
 """
 
 from __future__ import annotations

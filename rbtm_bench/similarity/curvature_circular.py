@@ -72,7 +72,8 @@ class CurvatureCircular(Similarity):
         known = np.isfinite(double) & ((dx != 0) | (dy != 0))
         u = np.where(known, np.exp(1j * np.where(known, double, 0.0)), 0.0)
         count = known.sum()
-        variance = 1.0 - abs(u.sum() / count) ** 2 if count else 0.0
+        # rounding makes the variance of a perfect wall -1e-16: min_variance=0 must let it pass
+        variance = max(0.0, 1.0 - abs(u.sum() / count) ** 2) if count else 0.0
         if variance < self.min_variance:
             return np.zeros(3 * len(u))
         return np.concatenate([u.real, u.imag, known])
@@ -108,16 +109,16 @@ class CurvatureCircular(Similarity):
         return np.where(enough, np.clip(score, -1.0, 1.0), np.nan)
 
     def _lags(self) -> range:
-        most = round(np.radians(self.max_lag_deg) / self._spacing) if self._spacing else 0
+        most = round(np.radians(self.max_lag_deg) / abs(self._spacing)) if self._spacing else 0
         return range(-most, most + 1)
 
     def _half_span_beams(self, angles: Array) -> int:
-        spacing = float(angles[-1] - angles[0]) / (len(angles) - 1)
+        spacing = float(angles[-1] - angles[0]) / (len(angles) - 1)  # < 0: sensed clockwise
         if self._spacing is None:
             self._spacing = spacing
         elif abs(spacing - self._spacing) > 1e-9:
             raise DataError("curvature_circular: the beam spacing changes within the data set")
-        h = max(1, round(np.radians(self.half_span_deg) / spacing))
+        h = max(1, round(np.radians(self.half_span_deg) / abs(spacing)))
         if 2 * h >= len(angles):
             raise ConfigError(
                 f"similarity.half_span_deg={self.half_span_deg} spans {2 * h} of "

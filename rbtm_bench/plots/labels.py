@@ -1,0 +1,217 @@
+"""Words for titles, legends and file names: what a run is, and what tells runs apart."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rbtm_bench import results, tables
+from rbtm_bench.errors import DataError
+from rbtm_bench.results import Run
+
+ALWAYS = ("window", "threshold", "gap")
+"""Settings of a selector that a method's name always gives; others where they differ."""
+
+WORDS = {"threshold": "Th"}
+"""The paper's symbol where it is the shorter word."""
+
+FOLLOWS_PATH = ("relations", "poses")
+"""Settings that change with the data set's path and tell nothing more."""
+
+
+def choice(run: Run, group: str) -> str:
+    """The chosen member of a config group, such as "rbtm" for the selector."""
+    return str((run.record.get("choices") or {}).get(group, "?"))
+
+
+def section(run: Run, group: str) -> dict[str, Any]:
+    """The settings of a group; empty if there are none."""
+    node = run.config.get(group)
+    return node if isinstance(node, dict) else {}
+
+
+def folder_name(run: Run) -> str:
+    """The name of the run's folder, also for the path "."."""
+    return run.path.resolve().name
+
+
+def stems(runs: Sequence[Run]) -> dict[Run, str]:
+    """A file name for every run: its folder's, with the parents' where two are alike."""
+    out: dict[Run, str] = {}
+    for run in runs:
+        parts = run.path.resolve().parts
+        for depth in range(1, len(parts) + 1):
+            tail = parts[-depth:]
+            alike = [r for r in runs if r.path.resolve().parts[-depth:] == tail]
+            if len(alike) == 1:
+                break
+        out[run] = "-".join(part.strip("/\\:") for part in tail)
+    return out
+
+
+def seed_order(run: Run) -> float:
+    """For sorting by seed; runs without one last."""
+    seed = run.record.get("seed")
+    return float(seed) if isinstance(seed, int | float) else math.inf
+
+
+def data_name(run: Run) -> str:
+    """The data set in words: "corridor (paper)", "carmen (aces)"."""
+    data = section(run, "dataset")
+    detail = _path_stem(data["path"]) if data.get("path") else data.get("environment")
+    name = choice(run, "dataset")
+    return unbroken(f"{name} ({detail})") if detail else name
+
+
+def data_key(run: Run) -> str:
+    """Equal for runs on the same data set, whatever their seed."""
+    return key_of(run, ("dataset",))
+
+
+def key_of(run: Run, groups: Sequence[str]) -> str:
+    """Equal for runs with the same choices and settings of these groups, seeds aside."""
+    return json.dumps([[choice(run, g), _flat(section(run, g))] for g in groups], sort_keys=True)
+
+
+def method(run: Run) -> str:
+    """The selector with its window, threshold and gap: "rbtm (window 64, Th 0.8)"."""
+    words = _always(run)
+    return f"{choice(run, 'selector')} ({', '.join(words)})" if words else choice(run, "selector")
+
+
+def title(run: Run) -> str:
+    """What a figure of one run shows: data set, backend, selector, seed."""
+    return ", ".join([data_name(run), choice(run, "backend"), method(run), *seed_words(run)])
+
+
+def seed_words(run: Run) -> list[str]:
+    """["seed 3"], or nothing for a run without a seed."""
+    seed = run.record.get("seed")
+    return [] if seed is None else [unbroken(f"seed {seed}")]
+
+
+def unbroken(text: str) -> str:
+    """Text that no line break will divide."""
+    return text.replace(" ", "\N{NO-BREAK SPACE}")
+
+
+def main_error(runs: Sequence[Run]) -> tuple[str, str, str] | None:
+    """Key, unit and name of the first of ``tables.ERRORS`` that a run has."""
+    for key, unit, name in tables.ERRORS:
+        if any(value(run, key) is not None for run in runs):
+            return key, unit, name
+    return None
+
+
+def value(run: Run, key: str) -> float | None:
+    """A metric, None if it is not a finite number."""
+    number = run.metrics.get(key)
+    if isinstance(number, bool) or not isinstance(number, int | float):
+        return None
+    return float(number) if math.isfinite(number) else None
+
+
+def error_words(run: Run) -> str:
+    """The run's main error in words: "final position error 25.9 mm"; "" if it has none."""
+    found = main_error([run])
+    if found is None:
+        return ""
+    key, unit, name = found
+    return f"{name} {quantity(run.metrics[key], unit)}"
+
+
+def quantity(number: float, unit: str) -> str:
+    """Three digits and a unit, without exponents: "25.9 mm", "61.8 m"."""
+    for small, large in (("mm", "m"), ("m", "km")):
+        if unit == small and abs(number) >= 10_000:
+            number, unit = number / 1000, large
+    text = f"{float(f'{number:.3g}'):g}".replace("-", "\N{MINUS SIGN}")
+    return f"{text}\N{DEGREE SIGN}" if unit == "deg" else unbroken(f"{text} {unit}")
+
+
+def distinctions(runs: Sequence[Run], groups: Sequence[str]) -> dict[Run, list[str]]:
+    """For every run the words that tell it from the others by its settings of these groups."""
+    out: dict[Run, list[str]] = {run: [] for run in runs}
+    for group in groups:
+        chosen = {choice(run, group) for run in runs}
+        for member in chosen:
+            same = [run for run in runs if choice(run, group) == member]
+            for run in same:
+                out[run] += [member] if len(chosen) > 1 else []
+                out[run] += _differing(run, same, group)
+    return out
+
+
+def method_order(run: Run) -> tuple[Any, ...]:
+    """For sorting: the standard method, its other controls, rbtm; settings by their size."""
+    selector = choice(run, "selector")
+    rank = {"previous": 0, "random_gap": 2, "rbtm": 3}.get(selector, 1)
+    settings = section(run, "selector")
+    numbers = [settings.get(key) for key in ALWAYS]
+    return (rank, selector, *(n if isinstance(n, int | float) else -math.inf for n in numbers))
+
+
+def method_names(runs: Sequence[Run]) -> dict[Run, str]:
+    """Every run's selector, and whatever else differs between methods, without its seed."""
+    others = distinctions(runs, ("guess", "check", "target", "similarity"))
+    out = {}
+    for run in runs:
+        same = [r for r in runs if choice(r, "selector") == choice(run, "selector")]
+        extra = _differing(run, same, "selector", skip=(*ALWAYS, "gaps_from", "gaps"))
+        source = section(run, "selector").get("gaps_from")
+        gaps = [f"as {_source_words(source, runs)}"] if source else []
+        words = [choice(run, "selector"), *_always(run), *gaps, *extra, *others[run]]
+        out[run] = ", ".join(words)
+    return out
+
+
+def _source_words(source: str, runs: Sequence[Run]) -> str:
+    """The method of the run whose gaps were drawn."""
+    path = Path(source)
+    known = [run for run in runs if run.path.resolve() == path.resolve()]
+    known = known or [run for run in runs if folder_name(run) == path.name]
+    try:
+        run = known[0] if known else results.read_run(path)
+    except DataError:
+        return path.name
+    return ", ".join(_always(run)) or choice(run, "selector")
+
+
+def _always(run: Run) -> list[str]:
+    settings = section(run, "selector")
+    shown = [key for key in ALWAYS if settings.get(key) is not None]
+    return [unbroken(f"{WORDS.get(key, key)} {settings[key]:g}") for key in shown]
+
+
+def _differing(
+    run: Run, others: Sequence[Run], group: str, skip: tuple[str, ...] = ()
+) -> list[str]:
+    """The run's settings of a group that are not the same in all the others."""
+    mine = _flat(section(run, group))
+    theirs = [_flat(section(other, group)) for other in others]
+    keys = [key for key in mine if key not in skip and any(t.get(key) != mine[key] for t in theirs)]
+    if group == "dataset" and "path" in keys:
+        keys = [key for key in keys if key not in FOLLOWS_PATH]
+    return [_path_stem(mine[k]) if k == "path" else f"{k.split('.')[-1]}={mine[k]}" for k in keys]
+
+
+def _flat(node: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested settings under dotted keys, without what only seeds and folders change."""
+    out: dict[str, Any] = {}
+    for key, item in node.items():
+        if key in results.SAME_FOR_ALL_SEEDS or key == "_target_":
+            continue
+        if isinstance(item, dict):
+            out.update(_flat(item, f"{prefix}{key}."))
+        else:
+            out[f"{prefix}{key}"] = item
+    return out
+
+
+def _path_stem(path: Any) -> str:
+    """ "aces" of ".../aces.clf.gz"."""
+    name = Path(str(path)).name
+    return name.split(".")[0] or name

@@ -1,0 +1,209 @@
+"""The error of every method: rows of markers, a panel for every data set and backend."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, MaxNLocator
+
+from rbtm_bench.plots import labels, style
+from rbtm_bench.results import Run
+
+PANELS_IN_A_LINE = 4
+LOG_FROM = 20.0
+"""Largest over smallest error from which on the axis is logarithmic."""
+ROW = 0.19
+"""Height of a method's row, inches."""
+ONE_VALUE = 1.02
+"""Largest over smallest error of backend "none" up to which a line stands for all of them."""
+
+LOOKS: dict[bool, dict[str, Any]] = {
+    True: {"marker": "D", "mfc": style.ORANGE, "mec": style.BLACK, "mew": 0.5, "ms": 4.0},
+    False: {"marker": "o", "mfc": "none", "mec": style.BLUE, "mew": 0.9, "ms": 4.5},
+}
+"""Of rbtm and of its controls."""
+MEDIAN: dict[str, Any] = {"marker": "|", "color": style.BLACK, "ms": 11.0, "mew": 1.8}
+GUESS: dict[str, Any] = {"color": "0.35", "ls": ":", "lw": 1.2}
+
+Row = tuple[str, bool]
+"""A method's name, and whether it is rbtm."""
+
+
+@dataclass(frozen=True, eq=False)
+class Data:
+    """One data set's part of the figure. ``cells`` holds the errors of (backend, row), empty
+    where every run failed; ``guess`` the error without any registration, None if it has panels
+    of its own."""
+
+    name: str
+    unit: str
+    error: str
+    backends: list[str]
+    rows: list[Row]
+    cells: dict[tuple[str, Row], list[float]]
+    guess: float | None
+
+    @property
+    def lines(self) -> int:
+        return -(-len(self.backends) // PANELS_IN_A_LINE)
+
+    @property
+    def height(self) -> float:
+        """Inches."""
+        return self.lines * (ROW * len(self.rows) + 0.4) + 0.55
+
+
+def errors(runs: Sequence[Run]) -> Figure | None:
+    """Errors by method; None if no run has one. Every data set has an axis of its own, with the
+    first of ``tables.ERRORS`` that its runs have."""
+    parts = _parts(runs, settings=True)
+    if sum(part.height for part in parts) > style.TALLEST:  # too many settings for a row each
+        parts = _parts(runs, settings=False)
+    if not parts:
+        return None
+    columns = min(max(len(part.backends) for part in parts), PANELS_IN_A_LINE)
+    long_names = max(len(name) for part in parts for name, _ in part.rows) > 18
+    width = style.DOUBLE if columns > 1 or long_names else style.SINGLE
+    heights = [part.height for part in parts]
+    figure = Figure(figsize=(width, sum(heights) + 0.7))
+    places = figure.subfigures(len(parts), 1, height_ratios=heights, squeeze=False)[:, 0]
+    for place, part in zip(places, parts, strict=True):
+        _draw_part(place, part, columns, named=len(parts) > 1)
+    figure.suptitle(style.wrapped(_title(runs, parts), width))
+    style.legend_below(figure, _legend(parts), columns=4)
+    return figure
+
+
+def _parts(runs: Sequence[Run], settings: bool) -> list[Data]:
+    """The data sets whose runs have an error; a row a method, or (without ``settings``) a
+    selector."""
+    by_data: dict[str, list[Run]] = {}
+    for run in runs:
+        by_data.setdefault(labels.data_key(run), []).append(run)
+    firsts = [group[0] for group in by_data.values()]
+    out = []
+    for group in by_data.values():
+        found = labels.main_error([run for run in group if run.done])
+        if found is None:
+            continue
+        alike = [r for r in firsts if labels.data_name(r) == labels.data_name(group[0])]
+        words = labels.distinctions(alike, ("dataset",))[group[0]]
+        rows = labels.method_names(group) if settings else _selectors(group)
+        name = ", ".join([labels.data_name(group[0]), *words])
+        out.append(_data(name, group, rows, found))
+    return out
+
+
+def _selectors(runs: Sequence[Run]) -> dict[Run, str]:
+    """Coarse names: the selector and how many settings of it there are."""
+    names = labels.method_names(runs)
+    out = {}
+    for run in runs:
+        selector = labels.choice(run, "selector")
+        count = len({names[r] for r in runs if labels.choice(r, "selector") == selector})
+        out[run] = f"{selector} ({count} setting{'s' * (count > 1)})"
+    return out
+
+
+def _data(name: str, runs: list[Run], names: dict[Run, str], error: tuple[str, str, str]) -> Data:
+    key, unit, what = error
+    guess = _guess([run for run in runs if labels.choice(run, "backend") == "none"], key)
+    if guess is not None and any(labels.choice(run, "backend") != "none" for run in runs):
+        runs = [run for run in runs if labels.choice(run, "backend") != "none"]
+    else:
+        guess = None
+    backends = labels.distinctions(runs, ("backend",))
+    cells: dict[tuple[str, Row], list[float]] = {}
+    for run in sorted(runs, key=labels.method_order):
+        backend = " ".join(backends[run]) or labels.choice(run, "backend")
+        row = (names[run], labels.choice(run, "selector") == "rbtm")
+        number = labels.value(run, key) if run.done else None
+        cells.setdefault((backend, row), []).extend([] if number is None else [number])
+    columns = list(
+        dict.fromkeys(" ".join(backends[r]) or labels.choice(r, "backend") for r in runs)
+    )
+    return Data(name, unit, what, columns, list(dict.fromkeys(r for _, r in cells)), cells, guess)
+
+
+def _guess(runs: Sequence[Run], key: str) -> float | None:
+    """The error of runs without registration, if the selector makes no difference to it."""
+    found = [number for run in runs if (number := labels.value(run, key)) is not None]
+    if not found or max(found) > ONE_VALUE * min(found):
+        return None
+    return float(np.median(found))
+
+
+def _draw_part(place: SubFigure, part: Data, columns: int, named: bool) -> None:
+    """All panels of one data set, with one scale."""
+    axes = place.subplots(part.lines, columns, sharex=True, sharey=True, squeeze=False)
+    for number, ax in enumerate(axes.ravel()):
+        if number >= len(part.backends):
+            ax.remove()
+            continue
+        _draw_panel(ax, part, part.backends[number])
+        ax.set_title(part.backends[number])
+        if number + columns >= len(part.backends):
+            ax.tick_params(labelbottom=True)
+    _scale(axes[0, 0], [v for values in part.cells.values() for v in values], part.guess)
+    axes[0, 0].set_yticks(range(len(part.rows)), [name for name, _ in part.rows])
+    axes[0, 0].set_ylim(len(part.rows) - 0.4, -0.6)
+    place.supxlabel(f"{part.error} ({part.unit})", fontsize=style.FONT)
+    if named:
+        place.suptitle(part.name)
+
+
+def _draw_panel(ax: Axes, part: Data, backend: str) -> None:
+    for height, row in enumerate(part.rows):
+        ax.axhline(height, color="0.88", lw=0.5, zorder=0)
+        values = part.cells.get((backend, row))
+        if not values:
+            word = "not run" if values is None else "failed"
+            ax.text(0.03, height, word, transform=ax.get_yaxis_transform(), va="center", c="0.4")
+            continue
+        if len(values) > 1:
+            ax.plot(np.median(values), height, ls="", **MEDIAN, zorder=2)
+        ax.plot(values, [height] * len(values), ls="", **LOOKS[row[1]], zorder=3)
+    if part.guess is not None:
+        ax.axvline(part.guess, **GUESS, zorder=1)
+
+
+def _scale(ax: Axes, values: list[float], guess: float | None) -> None:
+    """Logarithmic where the errors span more than 20 times; zeros then lie on a linear foot."""
+    values = [*values, *([] if guess is None else [guess])]
+    positive = [v for v in values if v > 0]
+    if positive and max(values) > LOG_FROM * min(positive):
+        if min(values) > 0:
+            ax.set_xscale("log")
+            ax.xaxis.set_major_locator(LogLocator(numticks=6))
+            ax.set_xlim(min(values) / 1.6, max(values) * 1.6)
+        else:
+            ax.set_xscale("symlog", linthresh=min(positive))
+            ax.margins(x=0.08)
+        return
+    ax.set_xlim(0, 1.08 * max(values) or 1.0)
+    ax.xaxis.set_major_locator(MaxNLocator(4))
+
+
+def _title(runs: Sequence[Run], parts: list[Data]) -> str:
+    data = parts[0].name if len(parts) == 1 else f"{len(parts)} data sets"
+    errors = " and ".join(dict.fromkeys(part.error for part in parts))
+    text = f"{data}: {errors} by method, one marker a run"
+    failed = sum(not run.done for run in runs)
+    return text + (f" ({failed} of {len(runs)} runs are not done)" if failed else "")
+
+
+def _legend(parts: list[Data]) -> list[Line2D]:
+    kinds = {is_rbtm for part in parts for _, is_rbtm in part.rows}
+    words = {True: "rbtm", False: "control"}
+    out = [Line2D([], [], ls="", **LOOKS[kind], label=words[kind]) for kind in sorted(kinds)]
+    if any(len(values) > 1 for part in parts for values in part.cells.values()):
+        out.append(Line2D([], [], ls="", **MEDIAN, label="median"))
+    if any(part.guess is not None for part in parts):
+        out.append(Line2D([], [], **GUESS, label="backend none: the guess alone"))
+    return out

@@ -1,0 +1,128 @@
+"""How figures look, and how they are saved.
+
+Figures are made without pyplot, so no backend is ever chosen and no global state is kept:
+``Figure.savefig`` takes the Agg and PDF canvases by itself.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import matplotlib.style
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from rbtm_bench.errors import DataError
+from rbtm_bench.files import write_atomically
+
+SINGLE = 3.4
+"""Width of a paper's column, inches."""
+DOUBLE = 7.0
+"""Width over both columns, inches."""
+TALLEST = 8.5
+"""Height that still fits a page, inches."""
+
+FONT = 8.0
+CHARACTERS_PER_INCH = 15.5
+"""Of the 8 pt font, on average; measured on our titles."""
+
+# Colours of Okabe and Ito 2008 (safe for the colour-blind); their greys differ as well.
+BLACK = "#000000"
+ORANGE = "#E69F00"
+VERMILION = "#D55E00"
+BLUE = "#0072B2"
+SKY = "#56B4E9"
+
+RASTER_FROM = 5_000
+"""Markers from which on a PDF holds pixels instead of that many paths."""
+
+FORMATS: tuple[tuple[str, int, dict[str, Any]], ...] = (
+    ("png", 150, {}),
+    ("pdf", 300, {"CreationDate": None}),
+)
+"""Dots an inch (in a PDF: of its rasterised parts); no date, so that the same runs give the same
+file."""
+
+PAPER: dict[str, Any] = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib
+    "font.size": FONT,
+    "axes.titlesize": FONT,
+    "axes.labelsize": FONT,
+    "xtick.labelsize": FONT,
+    "ytick.labelsize": FONT,
+    "legend.fontsize": FONT,
+    "figure.titlesize": FONT,
+    "figure.constrained_layout.use": True,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "hatch.linewidth": 0.6,
+    "legend.frameon": False,
+    "legend.handletextpad": 0.5,
+    "legend.columnspacing": 1.2,
+    "pdf.fonttype": 42,
+    "ps.fonttype": 42,
+}
+
+
+@contextmanager
+def paper() -> Iterator[None]:
+    """The look of our figures, whatever the user's own matplotlibrc says; undone at the end."""
+    with matplotlib.style.context(["default", PAPER]):
+        yield
+
+
+def wrapped(text: str, width: float) -> str:
+    """Text broken into lines that fit ``width`` inches; line breaks in it stay."""
+    limit = int((width - 0.1) * CHARACTERS_PER_INCH)
+    return "\n".join(
+        part
+        for line in text.splitlines()
+        for part in textwrap.wrap(line, limit, break_on_hyphens=False) or [""]
+    )
+
+
+def fit_height(figure: Figure, columns: Sequence[Axes], tallest: float) -> None:
+    """Give the figure the height that its panels of equal aspect need, no more.
+
+    ``columns`` are the axes above each other, which fill the width; ``tallest`` (inches) bounds
+    each of them. Call it last: titles and legends need their room too.
+    """
+    for _ in range(2):  # the second time with the margins as they are then
+        figure.draw_without_rendering()
+        width, height = figure.get_size_inches()
+        for ax in columns:
+            (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
+            place = ax.get_position(original=True)
+            wanted = min(place.width * width * abs(y1 - y0) / abs(x1 - x0), tallest)
+            height += wanted - place.height * figure.get_figheight()
+        figure.set_size_inches(width, max(height, 1.5))
+
+
+def legend_below(figure: Figure, handles: list[Any], columns: int) -> None:
+    """A legend under the axes, where it cannot cover data."""
+    if handles:
+        figure.legend(handles=handles, loc="outside lower center", ncols=min(columns, len(handles)))
+
+
+def save(figure: Figure, out: Path, stem: str) -> list[Path]:
+    """Write ``stem.png`` and ``stem.pdf``; each appears whole or not at all.
+
+    Raises ``DataError`` if they cannot be written.
+    """
+    written = []
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for ending, options in FORMATS.items():
+            path = out / f"{stem}.{ending}"
+            write_atomically(path, partial(figure.savefig, format=ending, **options))
+            written.append(path)
+    except OSError as error:
+        raise DataError(f"{out}: cannot be written: {error.strerror or error}") from error
+    return written
