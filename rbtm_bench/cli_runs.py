@@ -81,12 +81,21 @@ def run(words: list[str]) -> int:
     from rbtm_bench.settings import compose_settings
 
     options, overrides = parse("run", RUN_HELP, words)
+    pin_unless_lifted(overrides)
     settings = compose_settings(overrides, tuple(map(Path, options.config_dir)))
     out = Path(settings.config["out"] or default_folder("runs", settings.choices))
     with bar("scans") as progress:
         experiment.run(settings, out, progress.update_to)
     print(summary.of_run(out))
     return 0
+
+
+def pin_unless_lifted(overrides: list[str]) -> None:
+    """Pin this process before a plug-in's module is looked up: it may import its library."""
+    from rbtm_bench.pinning import pin_to_free_core
+
+    if not any(word.replace(" ", "").lower() == "pin=false" for word in overrides):
+        pin_to_free_core()
 
 
 def compare(words: list[str]) -> int:
@@ -99,16 +108,13 @@ def compare(words: list[str]) -> int:
     jobs = options.jobs if options.jobs is not None else comparison.default_jobs()
     if jobs < 1:
         raise ConfigError(f"--jobs {jobs}: expected at least 1")
+    if jobs == 1:
+        pin_unless_lifted(overrides)
     points, notes = make_points(overrides, tuple(map(Path, options.config_dir)))
     out = Path(points[0].settings.config["out"] or default_folder("compare"))
     refuse_existing(out, bool(points[0].settings.config["overwrite"]))
     for note in notes:
         print(note, file=sys.stderr)
-    jobs = min(jobs, len(points))
-    if jobs == 1 and points[0].settings.config["pin"]:
-        from rbtm_bench.pinning import pin_to_free_core
-
-        pin_to_free_core()
     comparison.check_data(points)
     comparison.make_folder(out)
     failed: list[str] = []
@@ -129,7 +135,6 @@ def sweep(words: list[str]) -> int:
     from rbtm_bench import summary
     from rbtm_bench.experiment import refuse_existing
     from rbtm_bench.grid import check_values
-    from rbtm_bench.pinning import pin_to_free_core
 
     options, overrides = parse("sweep", SWEEP_HELP, words)
     out = Path(default_folder("sweeps"))
@@ -140,11 +145,11 @@ def sweep(words: list[str]) -> int:
             out = Path(value)
         else:
             kept.append(word)
+    launchers = [word for word in kept if word.startswith("hydra/launcher=")]
+    if launchers in ([], ["hydra/launcher=basic"]):
+        pin_unless_lifted(kept)  # the jobs run in this very process
     first = check_values(kept, tuple(map(Path, options.config_dir)))
     refuse_existing(out, bool(first.config["overwrite"]))
-    launchers = [word for word in kept if word.startswith("hydra/launcher=")]
-    if first.config["pin"] and launchers in ([], ["hydra/launcher=basic"]):
-        pin_to_free_core()  # the jobs run in this very process
     flags = [part for folder in options.config_dir for part in ("--config-dir", folder)]
     hydra_main([*flags, "--multirun", f"hydra.sweep.dir='{out}'", *kept], sweep_job)
     runs = sorted((p.parent for p in out.glob("*/run.json")), key=_by_number)

@@ -112,7 +112,7 @@ install_python_packages() {
 have=()
 read_stamp() {
     [ -f "$stamp" ] && mapfile -t have <"$stamp" && [ "${have[0]:-}" = "$repo" ] &&
-        "$venv/bin/python" -c 'import sys, rbtm_bench; sys.exit(sys.version_info < (3, 11))' \
+        "$venv/bin/python" -I -c 'import sys, rbtm_bench; sys.exit(sys.version_info < (3, 11))' \
             2>/dev/null
 }
 
@@ -152,7 +152,7 @@ fi
 [ "$requirement" = . ] || kind=dev
 say "installing Python packages into .venv (up to 1.9 GB; a minute or so)"
 install_python_packages || fail "installing the Python packages failed (the words are above)"
-"$venv/bin/python" -c 'import kiss_icp, open3d, rbtm_bench' ||
+"$venv/bin/python" -I -c 'import kiss_icp, open3d, rbtm_bench' ||
     fail "the packages are installed but cannot be imported (the words are above)"
 printf '%s\n' "$repo" "$hash" "$kind" >"$stamp.new"
 mv -- "$stamp.new" "$stamp"

@@ -158,9 +158,7 @@ def evaluate(
     """
     moved = transform(T_target_source, source.points)
     planar = target.planar
-    distance, _ = target.tree.query(
-        moved[:, :2] if planar else moved, distance_upper_bound=radius
-    )
+    distance, _ = target.tree.query(moved[:, :2] if planar else moved, distance_upper_bound=radius)
     inlier = distance[np.isfinite(distance)]
     rmse = float(np.sqrt(np.mean(inlier**2))) if len(inlier) else float("nan")
     return len(inlier) / len(moved), rmse, len(inlier)

@@ -18,8 +18,9 @@ class Open3DGeneralizedICP(Open3DPointToPlane):
     """``registration_generalized_icp``; each point a small disc of thickness ``epsilon``.
 
     The covariances follow from the normals of ``Open3DPointToPlane``, whose parameters it takes
-    too. With a kernel, ``kernel_scale`` weighs Mahalanobis distances, which for neighbours on
-    one wall are about the metric distance across the wall over sqrt(2 epsilon).
+    too. With a kernel, ``kernel_scale`` weighs Mahalanobis distances (each coordinate by itself),
+    which for neighbours on one wall are about the metric distance across the wall over
+    sqrt(2 epsilon).
     """
 
     def __init__(

@@ -68,7 +68,7 @@ class Open3DICP(Backend):
             "none": lambda: registration.L2Loss(),
             "huber": lambda: registration.HuberLoss(scale),
             "cauchy": lambda: registration.CauchyLoss(scale),
-            "geman_mcclure": lambda: registration.GMLoss(scale),
+            "geman_mcclure": lambda: registration.GMLoss(scale**2),
             "tukey": lambda: registration.TukeyLoss(scale),
         }[self.kernel]()
 

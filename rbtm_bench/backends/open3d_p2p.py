@@ -14,8 +14,9 @@ class Open3DPointToPoint(Open3DICP):
     """``registration_icp`` with ``TransformationEstimationPointToPoint``.
 
     Open3D's point-to-point estimation takes no robust kernel. With one, the same residuals go
-    through its generalized-ICP estimation with covariances of I/2 on both sides, whose
-    Mahalanobis distance is then the plain distance.
+    through its generalized-ICP estimation with covariances of I/2 on both sides, which make its
+    residuals plain differences in m. Open3D weighs each coordinate of them by itself, so with a
+    kernel the result depends a little on how the sensor's axes lie.
     """
 
     def build(self, points: Array, planar: bool) -> Any:

@@ -89,9 +89,9 @@ def _representatives(done: list[Run]) -> Iterator[tuple[Run, str]]:
     for group in by_data.values():
         real = [run for run in group if labels.choice(run, "backend") != "none"] or group
         chosen = min(real, key=labels.seed_order)
-        note = f"run {labels.folder_name(chosen)}"
+        note = labels.unbroken(f"run {labels.folder_name(chosen)}")
         if len(group) > 1:
-            note += f", drawn as the first of {len(group)} rbtm runs"
+            note += f": the first of {len(group)} rbtm runs"
         yield chosen, note
 
 

@@ -18,6 +18,9 @@ ALWAYS = ("window", "threshold", "gap")
 WORDS = {"threshold": "Th"}
 """The paper's symbol where it is the shorter word."""
 
+LARGE = 10_000
+"""mm (m) from which on m (km) are the better unit."""
+
 FOLLOWS_PATH = ("relations", "poses")
 """Settings that change with the data set's path and tell nothing more."""
 
@@ -126,7 +129,7 @@ def error_words(run: Run) -> str:
 def quantity(number: float, unit: str) -> str:
     """Three digits and a unit, without exponents: "25.9 mm", "61.8 m"."""
     for small, large in (("mm", "m"), ("m", "km")):
-        if unit == small and abs(number) >= 10_000:
+        if unit == small and abs(number) >= LARGE:
             number, unit = number / 1000, large
     text = f"{float(f'{number:.3g}'):g}".replace("-", "\N{MINUS SIGN}")
     return f"{text}\N{DEGREE SIGN}" if unit == "deg" else unbroken(f"{text} {unit}")

@@ -15,6 +15,7 @@ from rbtm_bench.plots import labels, style
 from rbtm_bench.plots.folder import Scene, read_scene
 from rbtm_bench.plots.pairs import Pair
 from rbtm_bench.results import Run
+from rbtm_bench.types import Array
 
 Limits = tuple[float, float, float, float]
 """x from, x to, y from, y to, in m."""
@@ -24,8 +25,23 @@ LARGEST_DOT = 1.5
 """Points."""
 TRIMMED = 0.2
 """Percent of the points at each side that may lie outside, where they would double the view."""
+SHADE = 0.15
+"""Darkness of a dot in a 3D map from above: walls, many points high, come out of the ground."""
 WIDE = 0.45
 """Height over width of a map below which two are stacked instead of side by side."""
+
+ESTIMATED: dict[str, Any] = {
+    **{"color": style.VERMILION, "lw": 1.6},
+    **{"marker": "s", "mec": style.BLACK, "mew": 0.6, "ms": 4.0},
+}
+TRUE: dict[str, Any] = {
+    **{"color": style.BLUE, "lw": 1.1, "ls": (0, (3, 1.5))},
+    **{"marker": "o", "mfc": "w", "mec": style.BLUE, "mew": 1.1, "ms": 7.0},
+}
+START: dict[str, Any] = {
+    "ls": "", "marker": "^", "mfc": "w", "mec": style.BLACK, "mew": 0.9, "ms": 5.5
+}  # fmt: skip
+"""Solid and dashed, full and hollow: they differ in grey as well."""
 
 
 def single(run: Run) -> Figure | None:
@@ -88,11 +104,13 @@ def final_error(run: Run) -> str:
         labels.value(run, key)
         for key in ("final_along_mm", "final_cross_mm", "final_heading_error_deg")
     )
-    text = f"final error {labels.quantity(total, 'mm')}"
+    unit, per = ("m", 1e-3) if total >= labels.LARGE else ("mm", 1.0)
+    text = f"final error {labels.quantity(per * total, unit)}"
     if heading is not None:
         text += f", heading {labels.quantity(heading, 'deg')}"
     if along is not None and cross is not None:
-        text += f"\nalong {labels.quantity(along, 'mm')}, cross {labels.quantity(cross, 'mm')}"
+        parts = (labels.quantity(per * along, unit), labels.quantity(per * cross, unit))
+        text += f"\nalong {parts[0]}, cross {parts[1]}"
     return text
 
 
@@ -119,7 +137,7 @@ def view(scenes: Sequence[Scene]) -> Limits:
     return out[0], out[1], out[2], out[3]
 
 
-def _span(values: np.ndarray) -> tuple[float, float]:
+def _span(values: Array) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
@@ -138,34 +156,40 @@ def panel(ax: Axes, scene: Scene, limits: Limits, dot: float) -> list[Line2D]:
     x, y = scene.points.T
     many = len(scene.points) >= style.RASTER_FROM
     outside = np.mean((x < x0) | (x > x1) | (y < y0) | (y > y1)) if len(x) else 0.0
-    look: dict[str, Any] = {"ls": "", "marker": "o", "color": style.BLACK, "mew": 0}
-    ax.plot(x, y, **look, ms=dot, rasterized=many, zorder=1)
-    handles = [Line2D([], [], **look, ms=2.0, label=_map_label(float(outside)))]
-    handles += ax.plot(
-        *scene.path.T, "-", color=style.VERMILION, lw=2.0, label="estimated poses",
-        marker="s", ms=4.5, markevery=[len(scene.path) - 1], solid_capstyle="round", zorder=3,
-    )  # fmt: skip
+    dots: dict[str, Any] = {"ls": "", "marker": "o", "color": style.BLACK, "mew": 0}
+    shade = 1.0 if scene.planar else SHADE
+    ax.plot(x, y, **dots, ms=dot, alpha=shade, rasterized=many, zorder=1)
+    handles = [Line2D([], [], **dots, ms=2.0, label=_map_label(scene, float(outside)))]
+    _line(ax, scene.path, ESTIMATED, level=3)
+    handles.append(Line2D([], [], **ESTIMATED, label="estimated poses"))
     if scene.truth is not None:
-        handles += ax.plot(
-            *scene.truth.T, color=style.BLACK, lw=0.9, ls=(0, (3, 2)), label="ground truth",
-            marker="o", ms=6.5, mfc="none", markevery=[len(scene.truth) - 1], zorder=4,
-        )  # fmt: skip
-    handles += ax.plot(
-        *scene.path[0], "^", color="w", mec=style.BLACK, mew=0.9, ms=5.5, label="start", zorder=5
-    )
+        _line(ax, scene.truth, TRUE, level=4)
+        handles.append(Line2D([], [], **TRUE, label="ground truth"))
+    handles += ax.plot(*scene.path[0], **START, label="start", zorder=5)
     ax.set(xlim=(x0, x1), ylim=(y0, y1), xlabel="x (m)", ylabel="y (m)")
     ax.set_aspect("equal", adjustable="box")
-    step = _step(max(x1 - x0, y1 - y0) / 4)
-    for side in (ax.xaxis, ax.yaxis):
-        side.set_major_locator(MultipleLocator(step))
+    step = _nice(max(x1 - x0, y1 - y0) / 6)
+    for side, span in ((ax.xaxis, x1 - x0), (ax.yaxis, y1 - y0)):
+        # the same step on both sides, unless one is too short for two of them
+        side.set_major_locator(MultipleLocator(step if span > 2 * step else _nice(span / 4)))
     return handles
 
 
-def _step(about: float) -> float:
-    """The largest of 1, 2, 5, 10, ... up to ``about``: the same for both axes of a map."""
+def _line(ax: Axes, path: Array, look: dict[str, Any], level: int) -> None:
+    """A trajectory on a white band, which hides map dots but no other trajectory, and a marker
+    at its end."""
+    line = {key: value for key, value in look.items() if not key.startswith("m")}
+    ax.plot(*path.T, color="w", lw=3.0, solid_capstyle="round", zorder=2)
+    ax.plot(*path.T, **line, zorder=level)
+    ax.plot(*path[-1], **{**look, "ls": ""}, zorder=10 - level)
+
+
+def _nice(about: float) -> float:
+    """The smallest of 1, 2, 5, 10, ... from ``about`` on."""
     power = 10.0 ** np.floor(np.log10(about))
-    return float(max(f * power for f in (1, 2, 5) if f * power <= about * (1 + 1e-9)))
+    return float(min(f * power for f in (1, 2, 5, 10) if f * power >= about * (1 - 1e-9)))
 
 
-def _map_label(outside: float) -> str:
-    return "map" if outside == 0 else f"map ({outside:.1%} of it outside)"
+def _map_label(scene: Scene, outside: float) -> str:
+    view = "map" if scene.planar else "map from above"
+    return view if outside == 0 else f"{view} ({outside:.1%} of it outside)"

@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import MaxNLocator
 
 from rbtm_bench.plots import labels, style
 from rbtm_bench.plots.folder import read_similarity
@@ -39,13 +40,14 @@ def similarity(run: Run, note: str = "") -> Figure | None:
     beside = ax.inset_axes((1.05, 0.0, 0.05, 1.0))  # as high as the matrix
     bar = figure.colorbar(image, cax=beside, label="similarity S")
     ax.set(xlabel="scan k", ylabel="scan j")
+    for side in (ax.xaxis, ax.yaxis):
+        side.set_major_locator(MaxNLocator(5, integer=True))
     handles: list[Any] = []
     threshold = labels.section(run, "selector").get("threshold")
     if threshold is not None:
-        bar.ax.axhline(threshold, color=style.VERMILION, lw=2.0)
-        handles.append(
-            Line2D([], [], color=style.VERMILION, lw=2.0, label=f"threshold {threshold:g}")
-        )
+        bar.ax.axhline(threshold, color="w", lw=3.0)
+        bar.ax.axhline(threshold, color=style.BLACK, lw=1.2)
+        handles.append(Line2D([], [], color=style.BLACK, lw=1.2, label=f"threshold {threshold:g}"))
     if len(finite) < scores.size:
         share = 1 - len(finite) / scores.size
         handles.append(Patch(**UNDEFINED, label=f"undefined ({share:.1%})"))
@@ -59,11 +61,11 @@ def similarity(run: Run, note: str = "") -> Figure | None:
 def _title(run: Run, scans: Any, scores: Any, threshold: float | None) -> str:
     """Data set, similarity, how many scans, and how many pairs pass the threshold."""
     name = ", ".join([labels.data_name(run), *labels.seed_words(run)])
-    words = f"{name}, similarity {labels.choice(run, 'similarity')}"
     total = run.record.get("scans")
     if isinstance(total, int) and total > len(scans):
-        words += f", {len(scans)} of {total} scans"
+        name += f", {len(scans)} of {total} scans"
+    words = f"{name}\nsimilarity {labels.choice(run, 'similarity')}"
     if threshold is None or len(scans) < 2:
         return words
     pairs = scores[np.triu_indices(len(scans), k=1)]
-    return f"{words}\n{np.mean(pairs > threshold):.1%} of all pairs above the threshold"
+    return f"{words}\n{np.mean(pairs > threshold):.1%} of the pairs above the threshold"

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from rbtm_bench.plots import labels, style
@@ -73,10 +74,16 @@ def errors(runs: Sequence[Run]) -> Figure | None:
     heights = [part.height for part in parts]
     figure = Figure(figsize=(width, sum(heights) + 0.7))
     places = figure.subfigures(len(parts), 1, height_ratios=heights, squeeze=False)[:, 0]
-    for place, part in zip(places, parts, strict=True):
+    drawn = [
         _draw_part(place, part, columns, named=len(parts) > 1)
+        for place, part in zip(places, parts, strict=True)
+    ]
     figure.suptitle(style.wrapped(_title(runs, parts), width))
     style.legend_below(figure, _legend(parts), columns=4)
+    figure.draw_without_rendering()
+    for label, axes in drawn:  # under the panels, not under the methods' names
+        ends = [ax.get_position() for ax in axes]
+        label.set_x((min(p.x0 for p in ends) + max(p.x1 for p in ends)) / 2)
     return figure
 
 
@@ -118,17 +125,16 @@ def _data(name: str, runs: list[Run], names: dict[Run, str], error: tuple[str, s
         runs = [run for run in runs if labels.choice(run, "backend") != "none"]
     else:
         guess = None
-    backends = labels.distinctions(runs, ("backend",))
+    words = labels.distinctions(runs, ("backend",))
+    title = {run: " ".join(words[run]) or labels.choice(run, "backend") for run in runs}
     cells: dict[tuple[str, Row], list[float]] = {}
     for run in sorted(runs, key=labels.method_order):
-        backend = " ".join(backends[run]) or labels.choice(run, "backend")
         row = (names[run], labels.choice(run, "selector") == "rbtm")
         number = labels.value(run, key) if run.done else None
-        cells.setdefault((backend, row), []).extend([] if number is None else [number])
-    columns = list(
-        dict.fromkeys(" ".join(backends[r]) or labels.choice(r, "backend") for r in runs)
-    )
-    return Data(name, unit, what, columns, list(dict.fromkeys(r for _, r in cells)), cells, guess)
+        cells.setdefault((title[run], row), []).extend([] if number is None else [number])
+    panels = list(dict.fromkeys(title[run] for run in runs))
+    rows = list(dict.fromkeys(row for _, row in cells))
+    return Data(name, unit, what, panels, rows, cells, guess)
 
 
 def _guess(runs: Sequence[Run], key: str) -> float | None:
@@ -139,23 +145,24 @@ def _guess(runs: Sequence[Run], key: str) -> float | None:
     return float(np.median(found))
 
 
-def _draw_part(place: SubFigure, part: Data, columns: int, named: bool) -> None:
-    """All panels of one data set, with one scale."""
+def _draw_part(place: SubFigure, part: Data, columns: int, named: bool) -> tuple[Text, list[Axes]]:
+    """All panels of one data set, with one scale; returns their common label and them."""
     axes = place.subplots(part.lines, columns, sharex=True, sharey=True, squeeze=False)
     for number, ax in enumerate(axes.ravel()):
         if number >= len(part.backends):
             ax.remove()
             continue
         _draw_panel(ax, part, part.backends[number])
-        ax.set_title(part.backends[number])
+        ax.set_title(style.plain(part.backends[number]))
         if number + columns >= len(part.backends):
             ax.tick_params(labelbottom=True)
     _scale(axes[0, 0], [v for values in part.cells.values() for v in values], part.guess)
-    axes[0, 0].set_yticks(range(len(part.rows)), [name for name, _ in part.rows])
+    axes[0, 0].set_yticks(range(len(part.rows)), [style.plain(name) for name, _ in part.rows])
     axes[0, 0].set_ylim(len(part.rows) - 0.4, -0.6)
-    place.supxlabel(f"{part.error} ({part.unit})", fontsize=style.FONT)
     if named:
-        place.suptitle(part.name)
+        place.suptitle(style.plain(part.name))
+    label = place.supxlabel(f"{part.error} ({part.unit})", fontsize=style.FONT)
+    return label, list(axes.ravel()[: len(part.backends)])
 
 
 def _draw_panel(ax: Axes, part: Data, backend: str) -> None:

@@ -24,7 +24,7 @@ MARKS: dict[str, tuple[str, dict[str, Any]]] = {
         {"marker": "^", "mec": style.VERMILION, "mfc": "none", "ms": 4.5, "mew": 0.8},
     ),
     "predicted": ("predicted", {"marker": "x", "color": style.BLUE, "ms": 4.5, "mew": 1.0}),
-    "skipped": ("skipped", {"marker": "|", "color": style.BLACK, "ms": 7.0, "mew": 0.8}),
+    "skipped": ("skipped", {"marker": "|", "color": style.BLACK, "ms": 5.0, "mew": 0.8}),
     "unusable": (
         "unusable",
         {"marker": "s", "mec": style.SKY, "mfc": "none", "ms": 4.5, "mew": 1.0},
@@ -101,7 +101,7 @@ def _summary(run: Run) -> str:
     words = []
     mean = labels.value(run, "mean_gap")
     if mean is not None:
-        words.append(f"mean gap {labels.quantity(mean, 'scans')}")
+        words.append(f"mean gap {labels.quantity(mean, 'scan' if mean == 1 else 'scans')}")
     rejected = labels.value(run, "rejected")
     if rejected:
         words.append(f"{rejected:.0f} registrations rejected")

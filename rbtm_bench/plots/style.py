@@ -6,7 +6,6 @@ Figures are made without pyplot, so no backend is ever chosen and no global stat
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -17,6 +16,7 @@ import matplotlib
 import matplotlib.style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.textpath import TextPath
 
 from rbtm_bench.errors import DataError
 from rbtm_bench.files import write_atomically
@@ -29,8 +29,6 @@ TALLEST = 8.5
 """Height that still fits a page, inches."""
 
 FONT = 8.0
-CHARACTERS_PER_INCH = 15.5
-"""Of the 8 pt font, on average; measured on our titles."""
 
 # Colours of Okabe and Ito 2008 (safe for the colour-blind); their greys differ as well.
 BLACK = "#000000"
@@ -42,10 +40,10 @@ SKY = "#56B4E9"
 RASTER_FROM = 5_000
 """Markers from which on a PDF holds pixels instead of that many paths."""
 
-FORMATS: tuple[tuple[str, int, dict[str, Any]], ...] = (
-    ("png", 150, {}),
-    ("pdf", 300, {"CreationDate": None}),
-)
+FORMATS: dict[str, dict[str, Any]] = {
+    "png": {"dpi": 150},
+    "pdf": {"dpi": 300, "metadata": {"CreationDate": None}},
+}
 """Dots an inch (in a PDF: of its rasterised parts); no date, so that the same runs give the same
 file."""
 
@@ -80,12 +78,27 @@ def paper() -> Iterator[None]:
 
 def wrapped(text: str, width: float) -> str:
     """Text broken into lines that fit ``width`` inches; line breaks in it stay."""
-    limit = int((width - 0.1) * CHARACTERS_PER_INCH)
-    return "\n".join(
-        part
-        for line in text.splitlines()
-        for part in textwrap.wrap(line, limit, break_on_hyphens=False) or [""]
-    )
+    lines: list[str] = []
+    for paragraph in plain(text).splitlines():
+        line = ""
+        for word in paragraph.split(" "):
+            longer = f"{line} {word}" if line else word
+            if line and _inches(longer) > width - 0.15:
+                lines.append(line)
+                longer = word
+            line = longer
+        lines.append(line)
+    return "\n".join(lines)
+
+
+def plain(text: str) -> str:
+    """Text in which matplotlib finds no formula."""
+    return text.replace("$", r"\$")
+
+
+def _inches(text: str) -> float:
+    """Width of a line in our font."""
+    return float(TextPath((0, 0), text, size=FONT).get_extents().width) / 72
 
 
 def fit_height(figure: Figure, columns: Sequence[Axes], tallest: float) -> None:
@@ -94,7 +107,7 @@ def fit_height(figure: Figure, columns: Sequence[Axes], tallest: float) -> None:
     ``columns`` are the axes above each other, which fill the width; ``tallest`` (inches) bounds
     each of them. Call it last: titles and legends need their room too.
     """
-    for _ in range(2):  # the second time with the margins as they are then
+    for _ in range(3):  # again with the margins as they are then
         figure.draw_without_rendering()
         width, height = figure.get_size_inches()
         for ax in columns:

@@ -140,7 +140,9 @@ def _shift(columns: Descriptor, lag: int, beams: int) -> Descriptor:
     return out.reshape(len(columns), 3 * beams)
 
 
-def _centred(z: Array, rows: Descriptor, columns: Descriptor, shared: Array, beams: int) -> Array:
+def _centred(
+    z: Descriptor, rows: Descriptor, columns: Descriptor, shared: Array, beams: int
+) -> Descriptor:
     """The complex correlation coefficient from z = mean(u conj v): |u| = |v| = 1 on shared beams,
     so each variance is 1 - |mean|^2."""
     m_rows, m_cols = rows[:, 2 * beams :], columns[:, 2 * beams :]

@@ -17,7 +17,8 @@ from rbtm_bench.types import Array, Scan
 class VirtualScan(CurvatureCircular):
     """Nearest return in each of ``bins`` azimuth bins among points with
     ``min_height_m`` <= z < ``max_height_m`` (sensor frame), compared by ``CurvatureCircular``,
-    whose parameters it takes too. A bin without a point is a beam with no return.
+    whose parameters it takes too. Lags are searched by default, because a vehicle's clouds turn by
+    several bins from one to the next. A bin without a point is a beam with no return.
     """
 
     def __init__(
@@ -25,9 +26,9 @@ class VirtualScan(CurvatureCircular):
         min_height_m: float = -0.5,
         max_height_m: float = 0.5,
         bins: Annotated[int, Ge(16)] = 360,
-        half_span_deg: Annotated[float, Gt(0), Le(45)] = 3.0,
-        max_lag_deg: Annotated[float, Ge(0), Le(180)] = 0.0,
-        lag_phase: Literal["consistent", "free"] = "free",
+        half_span_deg: Annotated[float, Gt(0), Le(45)] = 5.0,
+        max_lag_deg: Annotated[float, Ge(0), Le(180)] = 10.0,
+        lag_phase: Literal["consistent", "free"] = "consistent",
         center: bool = False,
         min_valid_share: Annotated[float, Ge(0), Le(1)] = 0.5,
         min_variance: Annotated[float, Ge(0), Le(1)] = 0.05,
@@ -42,7 +43,7 @@ class VirtualScan(CurvatureCircular):
             )
         self.min_height_m, self.max_height_m, self.bins = min_height_m, max_height_m, bins
         width = 2 * np.pi / bins
-        self._angles = -np.pi + width * (np.arange(bins) + 0.5)
+        self._angles: Array = np.asarray(-np.pi + width * (np.arange(bins) + 0.5), np.float64)
 
     def check(self, dataset: Dataset) -> None:
         if dataset.planar:

@@ -97,10 +97,6 @@ def test_a_plug_in_needs_scores_only(beams) -> None:
             return window[:, 0] * descriptor[0]
 
     descriptors = np.array([[1.0], [2.0], [3.0]])
-    np.testing.assert_array_equal(
-        Product().matrix(descriptors), [[1, 2, 3], [2, 4, 6], [3, 6, 9]]
-    )
+    np.testing.assert_array_equal(Product().matrix(descriptors), [[1, 2, 3], [2, 4, 6], [3, 6, 9]])
     nan = np.nan
-    np.testing.assert_array_equal(
-        Product().band(descriptors, 3), [[nan, nan], [2, nan], [6, 3]]
-    )
+    np.testing.assert_array_equal(Product().band(descriptors, 3), [[nan, nan], [2, nan], [6, 3]])

@@ -102,8 +102,9 @@ def test_a_cloud_is_compared_like_the_scan_it_stands_for(room) -> None:
     wall = np.column_stack([ranges * np.cos(angles), ranges * np.sin(angles), np.zeros(360)])
     clutter = [0.5 * wall + [0, 0, 1.0], 0.5 * wall - [0, 0, 1.0], 1.3 * wall]
     cloud = Scan(0, 0.0, np.concatenate([wall, *clutter]))
-    expected = CurvatureCircular().describe_beams(ranges, angles)
-    np.testing.assert_allclose(VirtualScan().describe(cloud), expected, atol=1e-9)
+    expected = CurvatureCircular(half_span_deg=4.0).describe_beams(ranges, angles)
+    got = VirtualScan(half_span_deg=4.0).describe(cloud)
+    np.testing.assert_allclose(got, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("turn", [-20, 5, 40])
@@ -115,7 +116,7 @@ def test_a_turned_cloud_is_found_by_lags(room, turn) -> None:
 
     found = {}
     for most in (0.0, 45.0):
-        similarity = VirtualScan(max_lag_deg=most, lag_phase="consistent")
+        similarity = VirtualScan(half_span_deg=3.0, max_lag_deg=most, lag_phase="consistent")
         one, other = similarity.describe(cloud(0)), similarity.describe(cloud(turn))
         found[most] = float(similarity.scores(one[None], other)[0])
     assert found[45.0] > 0.98 and found[45.0] > found[0.0] + 0.05
