@@ -79,9 +79,9 @@ def dispatch(command: str, words: list[str]) -> int:
 
         if any(word in HYDRA_FLAGS or word.startswith("--cfg=") for word in words):
             return cli_runs.hydra_itself(words)
-        return {"run": cli_runs.run, "compare": cli_runs.compare, "sweep": cli_runs.sweep}[
-            command
-        ](words)
+        return {"run": cli_runs.run, "compare": cli_runs.compare, "sweep": cli_runs.sweep}[command](
+            words
+        )
     if command in ("table", "plot"):
         from rbtm_bench import cli_results
 

@@ -30,7 +30,7 @@ LIBRARIES = (
     ("joblib", "joblib"),
     ("rich", "rich"),
 )
-SYSTEM_LIBRARIES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libidn2-0 libudev1 libgomp1"
+SYSTEM_LIBRARIES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libidn2-0 libudev1"
 
 
 def list_plugins(words: list[str]) -> int:

@@ -41,7 +41,7 @@ SWEEP_HELP = """\
 Hydra's multirun: every combination of the comma lists, with Hydra's own launchers.
 
 example
-  rbtm-bench sweep backend=open3d_p2p,open3d_gicp selector.threshold=0.6,0.7,0.8 hydra/launcher=joblib
+  rbtm-bench sweep backend=open3d_p2p,kiss_icp selector.threshold=0.6,0.7 hydra/launcher=joblib
 
 out=DIR is the folder of the sweep; its runs are DIR/0, DIR/1, ..."""
 

@@ -12,7 +12,6 @@ from typing import Any
 from rbtm_bench import experiment
 from rbtm_bench.errors import ConfigError, RunError
 from rbtm_bench.grid import Point
-from rbtm_bench.settings import locate
 
 Tasks = dict[str, tuple[Any, Path]]
 """A point's name -> its settings and its folder."""
@@ -34,14 +33,11 @@ def check_data(points: Sequence[Point]) -> None:
         if key not in opened:
             opened.clear()  # one data set in memory at a time
             opened[key] = experiment.build(config["dataset"])
-        needs_scores = locate("selector", config["selector"]["_target_"]).needs_scores
-        fit = repr((key, config["guess"], config["similarity"], needs_scores))
-        if fit in checked:
-            continue
-        checked.add(fit)
-        experiment.build(config["guess"]).check(opened[key])
-        if needs_scores:
-            experiment.build(config["similarity"]).check(opened[key])
+        groups = ("backend", "guess", "similarity", "selector")
+        fit = repr((key, [config[group] for group in groups]))
+        if fit not in checked:
+            checked.add(fit)
+            experiment.check_fit(point.settings, opened[key])
 
 
 def run_points(points: Sequence[Point], out: Path, jobs: int, done: Done) -> None:

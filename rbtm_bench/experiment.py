@@ -24,7 +24,7 @@ from rbtm_bench.metrics.base import Metric
 from rbtm_bench.metrics.summary import summarise_steps
 from rbtm_bench.odometry import Method, odometry
 from rbtm_bench.pinning import pin_to_free_core
-from rbtm_bench.settings import PLUGIN_GROUPS, Settings
+from rbtm_bench.settings import PLUGIN_GROUPS, Settings, locate
 from rbtm_bench.similarity.base import Similarity
 from rbtm_bench.trajectory import Trajectory
 from rbtm_bench.types import Array, StepRecord
@@ -97,14 +97,29 @@ def instantiate(settings: Settings) -> Parts:
     Raises ``ConfigError`` where parts do not fit together, ``DataError`` for bad data.
     """
     config = settings.config
-    parts = {group: build(config[group]) for group in PLUGIN_GROUPS}
-    dataset = parts.pop("dataset")
-    method = Method(**parts)
-    method.guess.check(dataset)
-    if method.selector.needs_scores:
-        method.similarity.check(dataset)
+    dataset = build(config["dataset"])
+    check_fit(settings, dataset)
+    method = Method(**{g: build(config[g]) for g in PLUGIN_GROUPS if g != "dataset"})
     metrics = tuple(build(node) for node in (config.get("metrics") or {}).values())
     return Parts(dataset, method, metrics)
+
+
+def check_fit(settings: Settings, dataset: Dataset) -> None:
+    """Raise ``ConfigError`` if a chosen plug-in cannot work on the data set.
+
+    Loads no backend library: only a backend's class is looked at.
+    """
+    config = settings.config
+    dimensions = locate("backend", config["backend"]["_target_"]).dimensions
+    needed = "2d" if dataset.planar else "3d"
+    if needed not in dimensions:
+        raise ConfigError(
+            f"backend={settings.choices.get('backend')} is for {', '.join(dimensions)} only; "
+            f"this data set is {needed}"
+        )
+    build(config["guess"]).check(dataset)
+    if locate("selector", config["selector"]["_target_"]).needs_scores:
+        build(config["similarity"]).check(dataset)
 
 
 def build(node: dict[str, Any]) -> Any:

@@ -85,7 +85,7 @@ def check_values(words: list[str], extra_dirs: tuple[Path, ...] = ()) -> Setting
     except HydraException as error:
         raise ConfigError(explain(error)) from error
     lists = [
-        [f"{o.input_line.partition('=')[0]}={v}" for v in o.sweep_string_iterator()]
+        [f"{str(o.input_line).partition('=')[0]}={v}" for v in o.sweep_string_iterator()]
         if o.is_sweep_override()
         else [str(o.input_line)]
         for o in overrides

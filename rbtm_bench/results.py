@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -97,8 +97,11 @@ def find_runs(paths: Iterable[Path]) -> list[Run]:
     return list(found.values())
 
 
-def row(run: Run) -> dict[str, Any]:
-    """A run as one row of a table; what does not exist is None."""
+def row(run: Run, varied: str = "") -> dict[str, Any]:
+    """A run as one row of a table; what does not exist is None.
+
+    ``varied`` are further words for the column of settings.
+    """
     selector = run.config.get("selector") or {}
     values: dict[str, Any] = {
         "run": run.path.name,
@@ -107,7 +110,7 @@ def row(run: Run) -> dict[str, Any]:
         "selector": run.record.get("choices", {}).get("selector"),
         "window": selector.get("window"),
         "threshold": selector.get("threshold"),
-        "settings": selector_settings(selector),
+        "settings": " ".join(filter(None, [selector_settings(selector), varied])),
         "seed": run.record.get("seed"),
         "scans": run.record.get("scans"),
         "seconds": run.record.get("seconds"),
@@ -129,29 +132,72 @@ def selector_settings(selector: dict[str, Any]) -> str:
             continue
         if (key, value) in (("content", "scans"), ("fallback", "previous")):
             continue
-        parts.append(f"{key}={value:g}" if isinstance(value, float) else f"{key}={value}")
+        parts.append(f"{key}={_plain(value)}")
     if selector.get("gaps_from"):
         parts.append(f"gaps of {gap_source(Path(selector['gaps_from']))}")
     return " ".join(parts)
 
 
-def frame(runs: Iterable[Run]) -> pd.DataFrame:
+def varied_settings(runs: Sequence[Run]) -> dict[Path, str]:
+    """For every run the settings that tell it from others of its data set, backend and selector
+    and have no column of their own, as overrides ("guess=odometry backend.kernel=huber")."""
+    groups: dict[tuple[Any, ...], list[Run]] = {}
+    for run in runs:
+        choices = run.record.get("choices", {})
+        groups.setdefault(
+            tuple(choices.get(key) for key in ("dataset", "backend", "selector")), []
+        ).append(run)
+    words: dict[Path, str] = {}
+    for group in groups.values():
+        flat = [_flat(run) for run in group]
+        keys = dict.fromkeys(key for one in flat for key in one)
+        differ = [k for k in keys if len({json.dumps(one.get(k)) for one in flat}) > 1]
+        for run, one in zip(group, flat, strict=True):
+            words[run.path] = " ".join(f"{k}={_plain(one[k])}" for k in differ if k in one)
+    return words
+
+
+def _flat(run: Run) -> dict[str, Any]:
+    """Choices and settings outside the selector as one level of keys; seeds left out."""
+    found: dict[str, Any] = dict(run.record.get("choices", {}))
+
+    def walk(prefix: str, node: Any) -> None:
+        if isinstance(node, dict):
+            for key, value in node.items():
+                if key not in (*SAME_FOR_ALL_SEEDS, "_target_"):
+                    walk(f"{prefix}.{key}" if prefix else str(key), value)
+        else:
+            found[prefix] = node
+
+    # registration and descriptor only feed the plug-ins, where their values stand again
+    omitted = ("selector", "registration", "descriptor")
+    walk("", {k: v for k, v in run.config.items() if k not in omitted})
+    return found
+
+
+def _plain(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def frame(runs: Sequence[Run]) -> pd.DataFrame:
     """One row a run."""
     import pandas as pd
 
-    return pd.DataFrame([row(run) for run in runs])
+    varied = varied_settings(runs)
+    return pd.DataFrame([row(run, varied[run.path]) for run in runs])
 
 
-def over_seeds(runs: Iterable[Run]) -> pd.DataFrame:
+def over_seeds(runs: Sequence[Run]) -> pd.DataFrame:
     """One row a method: medians of every number over the runs that differ only in their seed.
 
     ``seeds`` counts the runs behind a row; failed runs have no numbers and show in ``status``.
     """
     import pandas as pd
 
+    varied = varied_settings(runs)
     groups: dict[str, list[dict[str, Any]]] = {}
     for run in runs:
-        groups.setdefault(method_key(run), []).append(row(run))
+        groups.setdefault(method_key(run), []).append(row(run, varied[run.path]))
     rows = [_median_row(group) for group in groups.values()]
     order: dict[tuple[Any, Any], int] = {}
     for one in rows:

@@ -120,7 +120,9 @@ def member_nodes(
             try:
                 cfg = composed([f"{group}={name}", *words])
                 node = OmegaConf.to_container(cfg[group], resolve=False)
-                nodes[name] = {str(k): v for k, v in dict(node).items()}  # type: ignore[call-overload]
+                if not isinstance(node, dict):
+                    raise ConfigError(f"{group}={name}: expected a mapping with a _target_")
+                nodes[name] = {str(k): v for k, v in node.items()}
             except ConfigError as error:
                 nodes[name] = error
     return nodes
@@ -205,7 +207,7 @@ def constructor_parameters(name: str, target: str) -> dict[str, inspect.Paramete
 
 
 def suggestion(word: str, known: list[str]) -> str:
-    """" Did you mean x? Known: ..." for a mistyped word."""
+    """ " Did you mean x? Known: ..." for a mistyped word."""
     close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
     meant = f" Did you mean {close[0]}?" if close else ""
     return f"{meant} Known: {', '.join(known) if known else '(none)'}"

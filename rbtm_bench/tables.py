@@ -64,8 +64,12 @@ def render(table: pd.DataFrame, fmt: str) -> str:
         return words.to_html(index=False, border=0, na_rep="", justify="left")
     if fmt == "latex":
         style = "".join("r" if c in numeric else "l" for c in shown)
-        return str(words.style.hide(axis="index").format(escape="latex").format_index(
-            escape="latex", axis=1).to_latex(column_format=style, hrules=True)).rstrip("\n")
+        return str(
+            words.style.hide(axis="index")
+            .format(escape="latex")
+            .format_index(escape="latex", axis=1)
+            .to_latex(column_format=style, hrules=True)
+        ).rstrip("\n")
     from tabulate import tabulate
 
     align = ["right" if c in numeric else "left" for c in shown]
@@ -101,7 +105,7 @@ def verdict(table: pd.DataFrame) -> list[str]:
     ``table`` has a row a method (medians over seeds). A line for every data set and backend that
     has rbtm and at least one control. Not a test of significance: medians are compared.
     """
-    lines = []
+    lines: list[str] = []
     usable = [c for c in ERRORS if c[0] in table and table[c[0]].notna().any()]
     if not usable:
         return lines

@@ -30,7 +30,8 @@ from rbtm_bench.similarity.base import Similarity
 
 class MeanRange(Similarity):
     def describe(self, scan):
-        return np.array([np.linalg.norm(scan.points, axis=1).mean() if len(scan.points) else np.nan])
+        ranges = np.linalg.norm(scan.points, axis=1)
+        return np.array([ranges.mean() if len(ranges) else np.nan])
 
     def scores(self, window, descriptor):
         return np.exp(-np.abs(window[:, 0] - descriptor[0]))

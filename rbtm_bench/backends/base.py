@@ -88,7 +88,7 @@ class Backend(ABC):
     def prepare(self, scan: Scan) -> Prepared:
         """Thin and build a scan, once. Raises ``BackendError`` on points that are not finite or
         too few (fewer than 6)."""
-        points = np.ascontiguousarray(scan.points, dtype=np.float64)
+        points = np.array(scan.points, dtype=np.float64, order="C")  # the scan's stay as they are
         if points.ndim != 2 or points.shape[1] != 3:
             raise BackendError(f"scan {scan.index}: points {points.shape}: expected (N, 3)")
         if not np.isfinite(points).all():
@@ -126,10 +126,12 @@ class Backend(ABC):
             raise BackendError(f"{type(self).__name__} returned no rigid motion")
         if source.planar and target.planar:
             T = to_plane(T)
+        # a library's own kind of bool would not be the `False` that checks look for
+        converged = None if alignment.converged is None else bool(alignment.converged)
         fitness, rmse, inliers = evaluate(source, target, T, self.max_correspondence_distance)
         return RegistrationResult(
             T_target_source=T,
-            converged=False if inliers < MIN_INLIERS else alignment.converged,
+            converged=False if inliers < MIN_INLIERS else converged,
             fitness=fitness,
             inlier_rmse=rmse,
             inliers=inliers,

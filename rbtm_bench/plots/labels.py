@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rbtm_bench import results, tables
+from rbtm_bench import tables
 from rbtm_bench.errors import DataError
-from rbtm_bench.results import Run
+from rbtm_bench.results import SAME_FOR_ALL_SEEDS, Run, read_run
 
 ALWAYS = ("window", "threshold", "gap")
 """Settings of a selector that a method's name always gives; others where they differ."""
@@ -43,15 +44,17 @@ def folder_name(run: Run) -> str:
 
 def stems(runs: Sequence[Run]) -> dict[Run, str]:
     """A file name for every run: its folder's, with the parents' where two are alike."""
+    parts = {run: run.path.resolve().parts for run in runs}
     out: dict[Run, str] = {}
-    for run in runs:
-        parts = run.path.resolve().parts
-        for depth in range(1, len(parts) + 1):
-            tail = parts[-depth:]
-            alike = [r for r in runs if r.path.resolve().parts[-depth:] == tail]
-            if len(alike) == 1:
-                break
-        out[run] = "-".join(part.strip("/\\:") for part in tail)
+    depth = 1
+    while len(out) < len(runs):
+        tails = {run: parts[run][-depth:] for run in runs if run not in out}
+        counts = Counter(tails.values())
+        last = all(depth >= len(parts[run]) for run in tails)
+        for run, tail in tails.items():
+            if counts[tail] == 1 or last:
+                out[run] = "-".join(part.strip("/\\:") for part in tail)
+        depth += 1
     return out
 
 
@@ -136,16 +139,35 @@ def quantity(number: float, unit: str) -> str:
 
 
 def distinctions(runs: Sequence[Run], groups: Sequence[str]) -> dict[Run, list[str]]:
-    """For every run the words that tell it from the others by its settings of these groups."""
+    """For every run the words that tell it from the others by these groups of its config."""
     out: dict[Run, list[str]] = {run: [] for run in runs}
     for group in groups:
-        chosen = {choice(run, group) for run in runs}
-        for member in chosen:
-            same = [run for run in runs if choice(run, group) == member]
-            for run in same:
-                out[run] += [member] if len(chosen) > 1 else []
-                out[run] += _differing(run, same, group)
+        settings = varying(runs, group)
+        many = len({choice(run, group) for run in runs}) > 1
+        for run in runs:
+            out[run] += [f"{group} {choice(run, group)}"] if many else []
+            out[run] += settings[run]
     return out
+
+
+def varying(runs: Sequence[Run], group: str, skip: tuple[str, ...] = ()) -> dict[Run, list[str]]:
+    """For every run its settings of a group that runs with the same choice do not share."""
+    members: dict[str, dict[Run, dict[str, Any]]] = {}
+    for run in runs:
+        members.setdefault(choice(run, group), {})[run] = _flat(section(run, group))
+    out = {}
+    for flats in members.values():
+        known = dict.fromkeys(key for flat in flats.values() for key in flat if key not in skip)
+        keys = [k for k in known if len({json.dumps(f.get(k)) for f in flats.values()}) > 1]
+        if group == "dataset" and "path" in keys:
+            keys = [key for key in keys if key not in FOLLOWS_PATH]
+        for run, flat in flats.items():
+            out[run] = [_setting(key, flat[key]) for key in keys if key in flat]
+    return out
+
+
+def _setting(key: str, item: Any) -> str:
+    return _path_stem(item) if key == "path" else f"{key.rpartition('.')[2]}={item}"
 
 
 def method_order(run: Run) -> tuple[Any, ...]:
@@ -160,24 +182,22 @@ def method_order(run: Run) -> tuple[Any, ...]:
 def method_names(runs: Sequence[Run]) -> dict[Run, str]:
     """Every run's selector, and whatever else differs between methods, without its seed."""
     others = distinctions(runs, ("guess", "check", "target", "similarity"))
+    settings = varying(runs, "selector", skip=(*ALWAYS, "gaps_from", "gaps"))
+    folders = {run.path.resolve(): run for run in runs}
+    folders.update({Path(folder_name(run)): run for run in runs})
     out = {}
     for run in runs:
-        same = [r for r in runs if choice(r, "selector") == choice(run, "selector")]
-        extra = _differing(run, same, "selector", skip=(*ALWAYS, "gaps_from", "gaps"))
         source = section(run, "selector").get("gaps_from")
-        gaps = [f"as {_source_words(source, runs)}"] if source else []
-        words = [choice(run, "selector"), *_always(run), *gaps, *extra, *others[run]]
+        gaps = [f"as {_source_words(Path(str(source)), folders)}"] if source else []
+        words = [choice(run, "selector"), *_always(run), *gaps, *settings[run], *others[run]]
         out[run] = ", ".join(words)
     return out
 
 
-def _source_words(source: str, runs: Sequence[Run]) -> str:
-    """The method of the run whose gaps were drawn."""
-    path = Path(source)
-    known = [run for run in runs if run.path.resolve() == path.resolve()]
-    known = known or [run for run in runs if folder_name(run) == path.name]
+def _source_words(path: Path, folders: dict[Path, Run]) -> str:
+    """The settings of the run whose gaps were drawn; ``folders`` may have moved together."""
     try:
-        run = known[0] if known else results.read_run(path)
+        run = folders.get(path.resolve()) or folders.get(Path(path.name)) or read_run(path)
     except DataError:
         return path.name
     return ", ".join(_always(run)) or choice(run, "selector")
@@ -189,23 +209,11 @@ def _always(run: Run) -> list[str]:
     return [unbroken(f"{WORDS.get(key, key)} {settings[key]:g}") for key in shown]
 
 
-def _differing(
-    run: Run, others: Sequence[Run], group: str, skip: tuple[str, ...] = ()
-) -> list[str]:
-    """The run's settings of a group that are not the same in all the others."""
-    mine = _flat(section(run, group))
-    theirs = [_flat(section(other, group)) for other in others]
-    keys = [key for key in mine if key not in skip and any(t.get(key) != mine[key] for t in theirs)]
-    if group == "dataset" and "path" in keys:
-        keys = [key for key in keys if key not in FOLLOWS_PATH]
-    return [_path_stem(mine[k]) if k == "path" else f"{k.split('.')[-1]}={mine[k]}" for k in keys]
-
-
 def _flat(node: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     """Nested settings under dotted keys, without what only seeds and folders change."""
     out: dict[str, Any] = {}
     for key, item in node.items():
-        if key in results.SAME_FOR_ALL_SEEDS or key == "_target_":
+        if key in SAME_FOR_ALL_SEEDS or key == "_target_":
             continue
         if isinstance(item, dict):
             out.update(_flat(item, f"{prefix}{key}."))

@@ -27,6 +27,8 @@ TRIMMED = 0.2
 """Percent of the points at each side that may lie outside, where they would double the view."""
 SHADE = 0.15
 """Darkness of a dot in a 3D map from above: walls, many points high, come out of the ground."""
+NARROW = 0.2
+"""Least share of the longer side that the shorter one gets."""
 WIDE = 0.45
 """Height over width of a map below which two are stacked instead of side by side."""
 
@@ -35,8 +37,8 @@ ESTIMATED: dict[str, Any] = {
     **{"marker": "s", "mec": style.BLACK, "mew": 0.6, "ms": 4.0},
 }
 TRUE: dict[str, Any] = {
-    **{"color": style.BLUE, "lw": 1.1, "ls": (0, (3, 1.5))},
-    **{"marker": "o", "mfc": "w", "mec": style.BLUE, "mew": 1.1, "ms": 7.0},
+    **{"color": style.NAVY, "lw": 1.1, "ls": (0, (3, 1.5))},
+    **{"marker": "o", "mfc": "w", "mec": style.NAVY, "mew": 1.1, "ms": 7.0},
 }
 START: dict[str, Any] = {
     "ls": "", "marker": "^", "mfc": "w", "mec": style.BLACK, "mew": 0.9, "ms": 5.5
@@ -131,8 +133,9 @@ def view(scenes: Sequence[Scene]) -> Limits:
         inner = np.percentile(points, [TRIMMED, 100 - TRIMMED]) if len(points) else fixed[:1]
         core = _span(np.concatenate([inner, fixed]))
         spans.append(core if np.diff(full) > 2 * np.diff(core) else full)
-    pad = max(0.04 * max(high - low for low, high in spans), 0.05)
+    longest = max(high - low for low, high in spans)
     for low, high in spans:
+        pad = max(0.04 * longest, (NARROW * longest - (high - low)) / 2, 0.05)
         out += [low - pad, high + pad]
     return out[0], out[1], out[2], out[3]
 

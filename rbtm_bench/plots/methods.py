@@ -100,7 +100,7 @@ def _parts(runs: Sequence[Run], settings: bool) -> list[Data]:
         if found is None:
             continue
         alike = [r for r in firsts if labels.data_name(r) == labels.data_name(group[0])]
-        words = labels.distinctions(alike, ("dataset",))[group[0]]
+        words = labels.varying(alike, "dataset")[group[0]]
         rows = labels.method_names(group) if settings else _selectors(group)
         name = ", ".join([labels.data_name(group[0]), *words])
         out.append(_data(name, group, rows, found))
@@ -109,13 +109,12 @@ def _parts(runs: Sequence[Run], settings: bool) -> list[Data]:
 
 def _selectors(runs: Sequence[Run]) -> dict[Run, str]:
     """Coarse names: the selector and how many settings of it there are."""
-    names = labels.method_names(runs)
-    out = {}
-    for run in runs:
-        selector = labels.choice(run, "selector")
-        count = len({names[r] for r in runs if labels.choice(r, "selector") == selector})
-        out[run] = f"{selector} ({count} setting{'s' * (count > 1)})"
-    return out
+    settings: dict[str, set[str]] = {}
+    for run, name in labels.method_names(runs).items():
+        settings.setdefault(labels.choice(run, "selector"), set()).add(name)
+    counts = {selector: len(names) for selector, names in settings.items()}
+    words = {s: f"{s} ({n} setting{'s' if n > 1 else ''})" for s, n in counts.items()}
+    return {run: words[labels.choice(run, "selector")] for run in runs}
 
 
 def _data(name: str, runs: list[Run], names: dict[Run, str], error: tuple[str, str, str]) -> Data:
@@ -125,8 +124,8 @@ def _data(name: str, runs: list[Run], names: dict[Run, str], error: tuple[str, s
         runs = [run for run in runs if labels.choice(run, "backend") != "none"]
     else:
         guess = None
-    words = labels.distinctions(runs, ("backend",))
-    title = {run: " ".join(words[run]) or labels.choice(run, "backend") for run in runs}
+    words = labels.varying(runs, "backend")
+    title = {run: ", ".join([labels.choice(run, "backend"), *words[run]]) for run in runs}
     cells: dict[tuple[str, Row], list[float]] = {}
     for run in sorted(runs, key=labels.method_order):
         row = (names[run], labels.choice(run, "selector") == "rbtm")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -84,7 +85,7 @@ def _stems(runs: Sequence[tuple[Run, bool]]) -> list[str]:
         alike = [r for r, _ in runs if [labels.choice(r, group) for group in SAME] == names]
         words = labels.distinctions(alike, (*SAME, *BETTER_SAME))[run]
         seed = [f"seed{run.record.get('seed')}"] if many_seeds else []
-        stem = "-".join([*names, *words, *seed]).replace("/", "_").replace(" ", "_")
+        stem = re.sub(r"[^\w.=+-]+", "_", "-".join([*names, *words, *seed]))
         twice = sum(other == stem or other.startswith(f"{stem}-again") for other in out)
         out.append(f"{stem}-again{twice + 1}" if twice else stem)
     return out

@@ -127,7 +127,7 @@ WRONG = {
     ("selector", "fussy"): (
         "test_every_scan_gets_a_candidate",
         "rbtm_bench.selection.rbtm.Rbtm",
-        "def select(self, scan, m, s): return Selection(super().select(scan, m, s).candidates[:-1])",
+        "def select(self, *given): return Selection(super().select(*given).candidates[:-1])",
     ),
     ("guess", "backwards"): (
         "test_noise_free_odometry_gives_the_true_motion",

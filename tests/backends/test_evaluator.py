@@ -77,6 +77,13 @@ def test_too_few_inliers_are_never_converged(within: int, converged: bool) -> No
     assert result.converged is converged
 
 
+@pytest.mark.parametrize("said", [True, False])
+def test_converged_is_python_s_own_bool(said: bool) -> None:
+    numpy_s: Any = np.bool_(said)
+    backend = Fixed(Alignment(np.eye(4), converged=numpy_s))
+    assert backend.register(prepared(LINE), prepared(LINE), np.eye(4)).converged is said
+
+
 def test_a_library_s_own_words_are_kept_beside() -> None:
     said = Alignment(np.eye(4), None, 7, np.eye(6), 0.25, 0.5)
     result = Fixed(said).register(prepared(LINE), prepared(LINE), np.eye(4))

@@ -49,8 +49,8 @@ def test_it_is_the_end_of_a_list(capacity, steps, dtype) -> None:
     moves=st.lists(st.tuples(st.integers(-3, 3), st.integers(-9, 9)), max_size=40),
 )
 def test_keyframes_are_the_end_of_a_list_of_keyframes(capacity, moves) -> None:
-    """Moves in units of 0.25 m and 5 deg; 0.5 m or 15 deg make a keyframe."""
-    window, members = Window(capacity, Keyframes(distance=0.5, angle_deg=14.9)), []
+    """Moves of multiples of 0.25 m and 5 deg; two or three of them make a keyframe."""
+    window, members = Window(capacity, Keyframes(distance=0.49, angle_deg=14.9)), []
     x = turn = 0
     for scan, (dx, dturn) in enumerate(moves):
         x, turn = x + dx, turn + dturn
