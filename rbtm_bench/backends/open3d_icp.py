@@ -1,9 +1,10 @@
 """What Open3D's three ICP methods share: clouds, robust kernels, coarse-to-fine distances."""
 
-from __future__ import annotations
-
+# No postponed annotations here and in the subclasses: settings are checked against the types of
+# these fields, which a subclass in another module inherits.
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -17,6 +18,7 @@ Kernel = Literal["none", "huber", "cauchy", "geman_mcclure", "tukey"]
 Positive = Annotated[float, Gt(0)]
 
 
+@dataclass(eq=False)
 class Open3DICP(Backend):
     """``open3d.pipelines.registration`` (MIT licence), iterated over shrinking distances.
 
@@ -29,25 +31,22 @@ class Open3DICP(Backend):
 
     requires = ("open3d",)
 
-    def __init__(
-        self,
-        max_correspondence_distance: Positive = 0.3,
-        voxel_size: Annotated[float, Ge(0)] = 0.0,
-        max_iterations: Annotated[int, Ge(1)] = 50,
-        relative_fitness: Positive = 1e-6,
-        relative_rmse: Positive = 1e-6,
-        kernel: Kernel = "none",
-        kernel_scale: Positive = 0.1,
-        coarse_to_fine: Sequence[Positive] = (1.0,),
-    ) -> None:
-        super().__init__(max_correspondence_distance, voxel_size)
-        if len(coarse_to_fine) == 0:
+    max_correspondence_distance: Positive = 0.3
+    voxel_size: Annotated[float, Ge(0)] = 0.0
+    max_iterations: Annotated[int, Ge(1)] = 50
+    relative_fitness: Positive = 1e-6
+    relative_rmse: Positive = 1e-6
+    kernel: Kernel = "none"
+    kernel_scale: Positive = 0.1
+    coarse_to_fine: Sequence[Positive] = (1.0,)
+
+    def __post_init__(self) -> None:
+        if len(self.coarse_to_fine) == 0:
             raise ConfigError("backend.coarse_to_fine=[]: expected at least one factor")
-        self.distances = [factor * max_correspondence_distance for factor in coarse_to_fine]
-        self.kernel, self.kernel_scale = kernel, kernel_scale
-        registration = _registration()
-        self._criteria = registration.ICPConvergenceCriteria(
-            relative_fitness, relative_rmse, max_iterations
+        super().__init__(self.max_correspondence_distance, self.voxel_size)
+        self.distances = [f * self.max_correspondence_distance for f in self.coarse_to_fine]
+        self.criteria = _registration().ICPConvergenceCriteria(
+            self.relative_fitness, self.relative_rmse, self.max_iterations
         )
 
     @abstractmethod

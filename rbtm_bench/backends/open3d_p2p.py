@@ -1,7 +1,6 @@
 """Point-to-point ICP (Besl and McKay 1992) by Open3D."""
 
-from __future__ import annotations
-
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ from rbtm_bench.backends.open3d_icp import Open3DICP, _registration, cloud
 from rbtm_bench.types import Array
 
 
+@dataclass(eq=False)
 class Open3DPointToPoint(Open3DICP):
     """``registration_icp`` with ``TransformationEstimationPointToPoint``.
 
@@ -33,11 +33,11 @@ class Open3DPointToPoint(Open3DICP):
         if self.kernel == "none":
             estimation = registration.TransformationEstimationPointToPoint(False)
             return registration.registration_icp(
-                source, target, distance, guess, estimation, self._criteria
+                source, target, distance, guess, estimation, self.criteria
             )
         estimation = registration.TransformationEstimationForGeneralizedICP(
             1.0, self.robust_kernel()
         )
         return registration.registration_generalized_icp(
-            source, target, distance, guess, estimation, self._criteria
+            source, target, distance, guess, estimation, self.criteria
         )

@@ -1,17 +1,16 @@
 """Point-to-plane ICP (Chen and Medioni 1992) by Open3D; point-to-line on planar scans."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 from annotated_types import Ge
 
-from rbtm_bench.backends.open3d_icp import Kernel, Open3DICP, Positive, _registration, cloud
+from rbtm_bench.backends.open3d_icp import Open3DICP, Positive, _registration, cloud
 from rbtm_bench.backends.planar import normals_2d
 from rbtm_bench.types import Array
 
 
+@dataclass(eq=False)
 class Open3DPointToPlane(Open3DICP):
     """``registration_icp`` with ``TransformationEstimationPointToPlane``.
 
@@ -19,42 +18,20 @@ class Open3DPointToPlane(Open3DICP):
     distance), at most ``normal_neighbours``; in the plane for planar scans.
     """
 
-    def __init__(
-        self,
-        max_correspondence_distance: Positive = 0.3,
-        voxel_size: Annotated[float, Ge(0)] = 0.0,
-        max_iterations: Annotated[int, Ge(1)] = 50,
-        relative_fitness: Positive = 1e-6,
-        relative_rmse: Positive = 1e-6,
-        kernel: Kernel = "none",
-        kernel_scale: Positive = 0.1,
-        coarse_to_fine: Sequence[Positive] = (1.0,),
-        normal_radius: Positive | None = None,
-        normal_neighbours: Annotated[int, Ge(5)] = 30,
-    ) -> None:
-        super().__init__(
-            max_correspondence_distance,
-            voxel_size,
-            max_iterations,
-            relative_fitness,
-            relative_rmse,
-            kernel,
-            kernel_scale,
-            coarse_to_fine,
-        )
-        self.normal_radius = normal_radius or max_correspondence_distance
-        self.normal_neighbours = normal_neighbours
+    normal_radius: Positive | None = None
+    normal_neighbours: Annotated[int, Ge(5)] = 30
 
     def build(self, points: Array, planar: bool) -> Any:
         import open3d as o3d
 
         pcd = cloud(points)
+        radius = self.normal_radius or self.max_correspondence_distance
         if planar:
-            normals = normals_2d(points, self.normal_radius, self.normal_neighbours)
+            normals = normals_2d(points, radius, self.normal_neighbours)
             pcd.normals = o3d.utility.Vector3dVector(normals)
         else:
             pcd.estimate_normals(
-                o3d.geometry.KDTreeSearchParamHybrid(self.normal_radius, self.normal_neighbours)
+                o3d.geometry.KDTreeSearchParamHybrid(radius, self.normal_neighbours)
             )
         return pcd
 
@@ -66,5 +43,5 @@ class Open3DPointToPlane(Open3DICP):
             distance,
             guess,
             registration.TransformationEstimationPointToPlane(self.robust_kernel()),
-            self._criteria,
+            self.criteria,
         )

@@ -36,8 +36,8 @@ def normals_2d(points: Array, radius: float, max_neighbours: int) -> Array:
     return np.column_stack([-np.sin(tangent), np.cos(tangent), np.zeros(len(xy))])
 
 
-def covariances_2d(normals: Array, epsilon: float) -> Array:
-    """Covariances (N, 3, 3) for generalized ICP: ``epsilon`` along the normal (N, 3), 1 along
-    the wall and along z (Segal et al. 2009, with the wall standing upright)."""
+def covariances_of_discs(normals: Array, epsilon: float) -> Array:
+    """Covariances (N, 3, 3) for generalized ICP: ``epsilon`` along the normal (N, 3), 1 across
+    it (Segal et al. 2009); for normals in the plane that is a wall standing upright."""
     outer = normals[:, :, None] * normals[:, None, :]
     return np.eye(3) - (1.0 - epsilon) * outer

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rbtm_bench.backends.planar import covariances_2d, normals_2d
+from rbtm_bench.backends.planar import covariances_of_discs, normals_2d
 from rbtm_bench.types import Array
 
 
@@ -81,7 +81,7 @@ def test_at_most_so_many_neighbours_count() -> None:
 def test_covariances_are_thin_across_the_wall_only() -> None:
     angle = np.deg2rad([0, 25, 90, 200])
     normals = np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
-    for normal, covariance in zip(normals, covariances_2d(normals, 1e-3), strict=True):
+    for normal, covariance in zip(normals, covariances_of_discs(normals, 1e-3), strict=True):
         values, vectors = np.linalg.eigh(covariance)
         np.testing.assert_allclose(values, [1e-3, 1, 1], atol=1e-12)
         assert abs(vectors[:, 0] @ normal) == pytest.approx(1.0)
