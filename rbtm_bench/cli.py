@@ -53,6 +53,13 @@ HYDRA_FLAGS = (
 def main(argv: list[str] | None = None) -> int:
     """Run a subcommand; returns the exit code: 0, 1 for a failed run, 2 for a user's mistake."""
     words = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in words or bool(os.environ.get("HYDRA_FULL_ERROR"))
+    words = [word for word in words if word != "--debug"]
+    return guarded(lambda: dispatch(words), debug)
+
+
+def dispatch(words: list[str]) -> int:
+    """Call the subcommand's function."""
     if "-sc" in words or "--shell-completion" in words:
         from rbtm_bench.completion import complete
 
@@ -65,15 +72,9 @@ def main(argv: list[str] | None = None) -> int:
 
         print(f"rbtm-bench {__version__}")
         return 0
-    debug = "--debug" in words or bool(os.environ.get("HYDRA_FULL_ERROR"))
-    words = [word for word in words if word != "--debug"]
-    return guarded(lambda: dispatch(words[0], words[1:]), debug)
-
-
-def dispatch(command: str, words: list[str]) -> int:
-    """Call the subcommand's function."""
     from rbtm_bench.errors import ConfigError
 
+    command, *words = words
     if command in ("run", "compare", "sweep"):
         from rbtm_bench import cli_runs
 
@@ -98,29 +99,41 @@ def dispatch(command: str, words: list[str]) -> int:
     raise ConfigError(f"{command}: no such command.{meant} Known: {', '.join(commands)}")
 
 
+def _exit_code(call: Callable[[], int]) -> int:
+    """What ``call`` returns; argparse leaves by an exception after help (0) or a mistake (2)."""
+    try:
+        return call()
+    except SystemExit as leave:
+        return leave.code if isinstance(leave.code, int) else 0
+
+
 def guarded(call: Callable[[], int], debug: bool) -> int:
-    """The exit code of ``call``; known errors print one line unless ``debug``."""
+    """The exit code of ``call``; errors print one line, with ``debug`` the whole traceback."""
     from rbtm_bench.errors import RbtmBenchError
 
     try:
-        return call()
+        code = _exit_code(call)
+        if sys.stdout is not None:  # None: started with standard output closed
+            sys.stdout.flush()
+        return code
     except KeyboardInterrupt:
         print("rbtm-bench: interrupted", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        sys.stderr.close()
+    except BrokenPipeError:  # the reader has seen enough; nothing to flush at exit either
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except RbtmBenchError as error:
-        if debug:
-            raise
-        print(f"rbtm-bench: {error}", file=sys.stderr)
-        return error.exit_code
     except Exception as error:
+        known = isinstance(error, RbtmBenchError)
         if debug:
-            raise
-        text = " ".join(str(error).split())
-        print(f"rbtm-bench: {type(error).__name__}: {text} (--debug shows where)", file=sys.stderr)
-        return 1
+            import traceback
+
+            traceback.print_exc()
+        else:
+            text = " ".join(str(error).split())
+            where = "" if known else " (--debug shows where)"
+            name = "" if known else f"{type(error).__name__}: "
+            print(f"rbtm-bench: {name}{text}{where}", file=sys.stderr)
+        return error.exit_code if isinstance(error, RbtmBenchError) else 1
 
 
 if __name__ == "__main__":

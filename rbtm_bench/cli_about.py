@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 from rbtm_bench.errors import ConfigError
-from rbtm_bench.settings import PLUGIN_GROUPS, config_dir, locate, member_nodes
 
 LIBRARIES = (
     ("numpy", "numpy"),
@@ -35,6 +34,8 @@ SYSTEM_LIBRARIES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libidn2-0 libudev1"
 
 def list_plugins(words: list[str]) -> int:
     """``rbtm-bench list``: every plug-in, its parameters, and whether its library is there."""
+    from rbtm_bench.settings import PLUGIN_GROUPS, member_nodes, shown
+
     parser = argparse.ArgumentParser(
         prog="rbtm-bench list",
         description="Every plug-in of every group with its parameters and their defaults. "
@@ -46,8 +47,9 @@ def list_plugins(words: list[str]) -> int:
     options = parser.parse_args(words)
     extra = tuple(options.config_dir)
     for group in [options.group] if options.group else PLUGIN_GROUPS:
+        nodes = member_nodes(group, extra)
         print(f"{group}:")
-        for name, node in member_nodes(group, extra).items():
+        for name, node in nodes.items():
             if options.names:
                 print(f"  {name}")
                 continue
@@ -55,12 +57,14 @@ def list_plugins(words: list[str]) -> int:
             if isinstance(node, dict):
                 for key, value in node.items():
                     if key != "_target_":
-                        print(f"      {group}.{key}={_shown(value)}")
+                        print(f"      {group}.{key}={shown(value)}")
     return 0
 
 
 def missing_library(group: str, name: str, node: dict[str, Any] | ConfigError) -> str | None:
     """Why a plug-in cannot be used here, or None."""
+    from rbtm_bench.settings import locate
+
     if isinstance(node, ConfigError):
         return str(node)
     try:
@@ -72,6 +76,8 @@ def missing_library(group: str, name: str, node: dict[str, Any] | ConfigError) -
 
 
 def _about(group: str, name: str, node: dict[str, Any] | ConfigError) -> str:
+    from rbtm_bench.settings import locate
+
     why_not = missing_library(group, name, node)
     if why_not or isinstance(node, ConfigError):
         return f"[missing] {why_not}"
@@ -79,14 +85,6 @@ def _about(group: str, name: str, node: dict[str, Any] | ConfigError) -> str:
     module = sys.modules.get(getattr(cls, "__module__", ""))
     text = (getattr(module, "__doc__", None) or cls.__doc__ or "").strip()
     return text.split("\n\n")[0].replace("\n", " ")
-
-
-def _shown(value: Any) -> str:
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return str(value)
 
 
 def doctor(words: list[str]) -> int:
@@ -125,7 +123,7 @@ def _check_libraries() -> list[str]:
             problems += _say(True, f"{package} {version(package)}")
         except PackageNotFoundError:
             problems += _say(True, f"{package} (version unknown)")
-        except ImportError as error:
+        except (ImportError, OSError) as error:
             advice = f"pip install {package}"
             if ".so" in str(error):
                 advice = f"as root: apt-get install {SYSTEM_LIBRARIES}"
@@ -134,6 +132,10 @@ def _check_libraries() -> list[str]:
 
 
 def _check_plugins() -> list[str]:
+    try:
+        from rbtm_bench.settings import PLUGIN_GROUPS, config_dir, member_nodes
+    except ImportError as error:
+        return _say(False, "plug-ins cannot be listed", f"first mend what is above ({error})")
     problems = _say(
         (config_dir() / "config.yaml").is_file(), f"configs in {config_dir()}", "install again"
     )

@@ -69,7 +69,7 @@ def parse(command: str, text: str, words: list[str]) -> tuple[argparse.Namespace
     unknown = [word for word in rest if word.startswith("-")]
     if unknown:
         raise ConfigError(f"{unknown[0]}: no such option; see rbtm-bench {command} --help")
-    strangers = [word for word in rest if "=" not in word and not word.startswith("~")]
+    strangers = [w for w in rest if w.find("=") < 1 and not w.startswith("~")]
     if strangers:
         raise ConfigError(f"{strangers[0]}: expected key=value")
     return options, rest
@@ -102,6 +102,7 @@ def compare(words: list[str]) -> int:
     """``rbtm-bench compare``."""
     from rbtm_bench import comparison, summary
     from rbtm_bench.experiment import refuse_existing
+    from rbtm_bench.files import make_folder
     from rbtm_bench.grid import make_points
 
     options, overrides = parse("compare", COMPARE_HELP, words)
@@ -116,7 +117,7 @@ def compare(words: list[str]) -> int:
     for note in notes:
         print(note, file=sys.stderr)
     comparison.check_data(points)
-    comparison.make_folder(out)
+    make_folder(out)
     failed: list[str] = []
     with bar("runs", len(points)) as progress:
 
@@ -132,17 +133,16 @@ def compare(words: list[str]) -> int:
 
 def sweep(words: list[str]) -> int:
     """``rbtm-bench sweep``: Hydra's multirun over ``experiment.run``."""
-    from rbtm_bench import summary
+    from rbtm_bench import comparison, summary
     from rbtm_bench.experiment import refuse_existing
-    from rbtm_bench.grid import check_values
+    from rbtm_bench.grid import Point, check_values
 
     options, overrides = parse("sweep", SWEEP_HELP, words)
     out = Path(default_folder("sweeps"))
     kept = []
     for word in overrides:
-        key, _, value = word.partition("=")
-        if key == "out":
-            out = Path(value)
+        if word.partition("=")[0] == "out":
+            out = _one_folder(word) or out
         else:
             kept.append(word)
     launchers = [word for word in kept if word.startswith("hydra/launcher=")]
@@ -150,13 +150,26 @@ def sweep(words: list[str]) -> int:
         pin_unless_lifted(kept)  # the jobs run in this very process
     first = check_values(kept, tuple(map(Path, options.config_dir)))
     refuse_existing(out, bool(first.config["overwrite"]))
+    comparison.check_data([Point("first", first)])
     flags = [part for folder in options.config_dir for part in ("--config-dir", folder)]
-    hydra_main([*flags, "--multirun", f"hydra.sweep.dir='{out}'", *kept], sweep_job)
+    folder = str(out).replace("'", "\\'")
+    hydra_main([*flags, "--multirun", f"hydra.sweep.dir='{folder}'", *kept], sweep_job)
     runs = sorted((p.parent for p in out.glob("*/run.json")), key=_by_number)
     if not runs:
         raise RunError(f"{out}: the sweep left no run")
     print(summary.of_runs(out, runs))
     return _report_failures(summary.failures(runs), len(runs))
+
+
+def _one_folder(word: str) -> Path | None:
+    """The folder that ``out=DIR`` names, None for ``out=null``."""
+    from rbtm_bench.settings import parsed, shown
+
+    (override,) = parsed([word])
+    if override.is_sweep_override():
+        raise ConfigError(f"{word}: a sweep has one folder")
+    value = override.value()
+    return None if value is None else Path(shown(value))
 
 
 def hydra_itself(words: list[str]) -> int:

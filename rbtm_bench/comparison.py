@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rbtm_bench import experiment
-from rbtm_bench.errors import ConfigError, RunError
+from rbtm_bench.errors import RunError
 from rbtm_bench.grid import Point
 
 Tasks = dict[str, tuple[Any, Path]]
@@ -43,7 +44,9 @@ def check_data(points: Sequence[Point]) -> None:
 def run_points(points: Sequence[Point], out: Path, jobs: int, done: Done) -> None:
     """Run the points into folders below ``out``, ``jobs`` at a time.
 
-    Points that draw another run's gaps follow when all others have ended.
+    Points that draw another run's gaps follow when all others have ended. If a worker process
+    dies, the runs that had not ended start again, each in a process of its own, so that only
+    the deadly one fails. With one job everything runs in this very process.
     """
     for late in (False, True):
         batch = [point for point in points if (point.gaps_of is not None) is late]
@@ -51,10 +54,9 @@ def run_points(points: Sequence[Point], out: Path, jobs: int, done: Done) -> Non
         for name, record in _results(tasks, jobs):
             del tasks[name]
             done(name, record)
-        for name, (settings, folder) in tasks.items():
-            error = RunError("the worker process died")
-            experiment.fail(settings, folder, error)
-            done(name, {"status": "failed", "reason": str(error)})
+        with ThreadPoolExecutor(jobs) as threads:
+            for name, record in threads.map(run_alone, tasks, *zip(*tasks.values(), strict=True)):
+                done(name, record)
 
 
 def default_jobs() -> int:
@@ -62,14 +64,6 @@ def default_jobs() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
-
-
-def make_folder(out: Path) -> None:
-    """Make the comparison's folder. Raises ``ConfigError`` where that cannot be done."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"out={out}: cannot be made: {error.strerror}") from error
 
 
 def _placed(point: Point, out: Path) -> Any:
@@ -98,8 +92,24 @@ def _results(tasks: Tasks, jobs: int) -> Iterator[tuple[str, dict[str, Any]]]:
 def run_one(name: str, settings: Any, out: Path) -> tuple[str, dict[str, Any]]:
     """One run that never raises: whatever goes wrong becomes its status and reason."""
     try:
+        experiment.refuse_existing(out, bool(settings.config["overwrite"]))
+        experiment.clear(out)  # an earlier run's files must not stand for a run that never starts
         return name, experiment.run(settings, out)
     except Exception as error:
         if not (out / "run.json").exists():
             experiment.fail(settings, out, error)
         return name, {"status": "failed", "reason": experiment.reason(error)}
+
+
+def run_alone(name: str, settings: Any, out: Path) -> tuple[str, dict[str, Any]]:
+    """``run_one`` in a process of its own; the death of that process is a failed run."""
+    from joblib.externals.loky import ProcessPoolExecutor
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
+
+    with ProcessPoolExecutor(max_workers=1) as process:
+        try:
+            return process.submit(run_one, name, settings, out).result()
+        except TerminatedWorkerError:
+            error = RunError("the worker process died")
+            experiment.fail(settings, out, error)
+            return name, {"status": "failed", "reason": str(error)}

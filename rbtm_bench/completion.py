@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
 import sys
@@ -25,10 +26,18 @@ def complete(words: list[str]) -> int:
         return 0
     if command not in WITH_OVERRIDES:
         return 0
+    # of a list only the first value: Hydra composes one config to know its keys
+    rest = re.sub(r"(\s[\w./]+=[^\s,'\"({\[]+),[^\s'\"({\[]+(?=\s)", r"\1", rest)
     os.environ["COMP_LINE"] = f"{program}{rest}"
-    point = int(os.environ.get("COMP_POINT", len(line)))
-    os.environ["COMP_POINT"] = str(max(0, point - (len(line) - len(program) - len(rest))))
-    return _hydra(["-sc", query])
+    os.environ["COMP_POINT"] = str(len(os.environ["COMP_LINE"]))
+    # half a line often cannot be composed: then there are no suggestions, and no noise either
+    with (
+        open(os.devnull, "w") as nowhere,
+        contextlib.redirect_stderr(nowhere),
+        contextlib.suppress(Exception, SystemExit),
+    ):
+        _hydra(["-sc", query])
+    return 0
 
 
 def _hydra(words: list[str]) -> int:

@@ -19,7 +19,7 @@ import numpy as np
 from rbtm_bench import provenance
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.errors import ConfigError, RbtmBenchError
-from rbtm_bench.files import write_atomically, write_json, write_text
+from rbtm_bench.files import make_folder, write_atomically, write_json, write_text
 from rbtm_bench.metrics.base import Metric
 from rbtm_bench.metrics.summary import summarise_steps
 from rbtm_bench.odometry import Method, odometry
@@ -55,9 +55,9 @@ def run(settings: Settings, out: Path, progress: Progress | None = None) -> dict
     refuse_existing(out, bool(settings.config["overwrite"]))
     core = pin_to_free_core() if settings.config["pin"] else None
     parts = instantiate(settings)
-    out.mkdir(parents=True, exist_ok=True)
-    clear(out)
     record = provenance.of_run(settings, parts.dataset, core)
+    make_folder(out)
+    clear(out)
     write_config(out, settings)
     write_json(out / "run.json", record)
     try:
@@ -75,7 +75,7 @@ def run(settings: Settings, out: Path, progress: Progress | None = None) -> dict
 
 def fail(settings: Settings, out: Path, error: BaseException) -> None:
     """Leave a run that could not even start as a failed run with its reason."""
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out)
     clear(out)
     write_config(out, settings)
     record = provenance.of_run(settings, None, None)
@@ -110,7 +110,8 @@ def check_fit(settings: Settings, dataset: Dataset) -> None:
     Loads no backend library: only a backend's class is looked at.
     """
     config = settings.config
-    dimensions = locate("backend", config["backend"]["_target_"]).dimensions
+    backend = locate("backend", config["backend"]["_target_"])
+    dimensions = getattr(backend, "dimensions", ("2d", "3d"))  # a factory function has none
     needed = "2d" if dataset.planar else "3d"
     if needed not in dimensions:
         raise ConfigError(
@@ -118,7 +119,8 @@ def check_fit(settings: Settings, dataset: Dataset) -> None:
             f"this data set is {needed}"
         )
     build(config["guess"]).check(dataset)
-    if locate("selector", config["selector"]["_target_"]).needs_scores:
+    selector = locate("selector", config["selector"]["_target_"])
+    if getattr(selector, "needs_scores", False):
         build(config["similarity"]).check(dataset)
 
 
@@ -140,7 +142,8 @@ def build(node: dict[str, Any]) -> Any:
                     "see rbtm-bench doctor"
                 ) from error
             cause = cause.__cause__ or cause.__context__
-        raise ConfigError(f"{node['_target_']}: {str(error).splitlines()[0]}") from error
+        lines = [line for line in str(error).splitlines() if not line.startswith("full_key")]
+        raise ConfigError(" ".join(lines)) from error
 
 
 def reason(error: BaseException) -> str:

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.types import Override, QuotedString, Transformer
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf, open_dict
 
@@ -28,10 +27,15 @@ from rbtm_bench.settings import (
     composing,
     explain,
     from_hydra,
+    parsed,
+    shown,
     suggestion,
 )
 
 IGNORED_IN_COMPARISON = ("out", "overwrite", "pin")
+
+LONGEST_NAME = 120
+"""Characters of a point's name, which is a folder's: file systems take 255 bytes."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +54,11 @@ def make_points(
 
     Raises ``ConfigError`` for a key that no chosen member declares, or any bad value.
     """
-    groups, keys, additions = _sort_overrides(words)
     notes: list[str] = []
     used: set[str] = set()
     found: list[tuple[Settings, list[str]]] = []
     with composing(extra_dirs) as extra:
+        groups, keys, additions = _sort_overrides(words)
         declared: list[DictConfig] = []
         for combination in itertools.product(*groups.values()):
             chosen = [f"{g}={m}" for g, m in zip(groups, combination, strict=True)]
@@ -64,7 +68,7 @@ def make_points(
             used |= here.keys()
             notes += _note(chosen, keys, here)
             for values in itertools.product(*here.values()):
-                overrides = [f"{k}={_text(v)}" for k, v in zip(here, values, strict=True)]
+                overrides = [f"{k}={shown(v)}" for k, v in zip(here, values, strict=True)]
                 settings = _settings(base, here, values, chosen + additions + overrides)
                 found.append((settings, _label(settings, groups, here, values)))
         for key in keys:
@@ -78,18 +82,14 @@ def check_values(words: list[str], extra_dirs: tuple[Path, ...] = ()) -> Setting
 
     Returns the sweep's first point. Raises ``ConfigError`` before anything has run.
     """
-    try:
-        overrides = OverridesParser.create().parse_overrides(
-            [word for word in words if not word.startswith("hydra")]
-        )
-    except HydraException as error:
-        raise ConfigError(explain(error)) from error
-    lists = [
-        [f"{str(o.input_line).partition('=')[0]}={v}" for v in o.sweep_string_iterator()]
-        if o.is_sweep_override()
-        else [str(o.input_line)]
-        for o in overrides
-    ]
+    with composing(extra_dirs):
+        overrides = parsed([word for word in words if not word.startswith("hydra")])
+        lists = [
+            [f"{str(o.input_line).partition('=')[0]}={v}" for v in _listed(o)]
+            if o.is_sweep_override()
+            else [str(o.input_line)]
+            for o in overrides
+        ]
     first = [values[0] for values in lists]
     settings = compose_settings(first, extra_dirs)
     for position, values in enumerate(lists):
@@ -102,34 +102,48 @@ def _sort_overrides(
     words: list[str],
 ) -> tuple[dict[str, list[str]], dict[str, list[Any]], list[str]]:
     """Group choices, key values, and additions or deletions (``+a=1``, ``~a``), in order."""
-    try:
-        overrides: list[Override] = OverridesParser.create().parse_overrides(words)
-    except HydraException as error:
-        raise ConfigError(explain(error)) from error
     groups: dict[str, list[str]] = {}
     keys: dict[str, list[Any]] = {}
     additions: list[str] = []
-    for override in overrides:
+    for override in parsed(words):
         key = override.key_or_group
         if override.is_add() or override.is_delete() or override.is_force_add():
             if override.is_sweep_override():
                 raise ConfigError(f"{override.input_line}: a list of values cannot be added")
             additions.append(str(override.input_line))
         elif key in GROUPS:
-            groups[key] = [str(value) for value in _values(override, text=True)]
+            groups[key] = [shown(value) for value in _values(override)]
+        elif key in IGNORED_IN_COMPARISON and override.is_sweep_override():
+            raise ConfigError(f"{override.input_line}: a comparison has one value of {key}")
         else:
-            keys[key] = _values(override, text=False)
+            keys[key] = _values(override)
     return groups, keys, additions
 
 
-def _values(override: Override, text: bool) -> list[Any]:
+def _values(override: Override) -> list[Any]:
+    """The values of one override, as plain data."""
     if not override.is_sweep_override():
         return [override.value()]
-    if text:
-        return [str(value).strip("'\"") for value in override.sweep_string_iterator()]
-    from hydra.core.override_parser.types import Transformer
+    return [_unquoted(value) for value in _listed(override, Transformer.identity)]
 
-    return list(override.sweep_iterator(transformer=Transformer.identity))
+
+def _listed(override: Override, transformer: Any = Transformer.str) -> list[Any]:
+    """The values of a list, range, choice or glob; an interval has none that can be listed."""
+    try:
+        return list(override.sweep_iterator(transformer=transformer))
+    except HydraException as error:
+        raise ConfigError(f"{override.input_line}: {explain(error)}") from error
+
+
+def _unquoted(value: Any) -> Any:
+    """Quoted words as plain text, at any depth."""
+    if isinstance(value, QuotedString):
+        return value.text
+    if isinstance(value, list):
+        return [_unquoted(item) for item in value]
+    if isinstance(value, dict):
+        return {key: _unquoted(item) for key, item in value.items()}
+    return value
 
 
 def _declares(config: DictConfig, key: str) -> bool:
@@ -165,7 +179,7 @@ def _label(
         if group not in ("backend", "selector") and len(members) > 1
     ]
     label += [
-        f"{key.rpartition('.')[2]}={_text(value)}"
+        f"{key.rpartition('.')[2]}={shown(value)}"
         for (key, listed), value in zip(keys.items(), values, strict=True)
         if len(listed) > 1
     ]
@@ -199,7 +213,7 @@ def _named(found: list[tuple[Settings, list[str]]]) -> list[Point]:
     points: dict[str, Point] = {}
 
     def add(label: list[str], settings: Settings, gaps_of: str | None = None) -> str:
-        stem = re.sub(r"[^\w.=+-]+", "_", "-".join(label)) or "run"
+        stem = re.sub(r"[^\w.=+-]+", "_", "-".join(label), flags=re.ASCII)[:LONGEST_NAME] or "run"
         name, count = stem, 2
         while name in points:
             name, count = f"{stem}-{count}", count + 1
@@ -231,9 +245,11 @@ def _named(found: list[tuple[Settings, list[str]]]) -> list[Point]:
 
 
 def _without_selector(settings: Settings) -> str:
+    """Equal for runs on the same scans by the same backend: a random_gap and the rbtm that it
+    follows. The seed counts where something uses it, and there it stands again."""
     choices = {k: v for k, v in settings.choices.items() if k != "selector"}
     plain = replace(settings, choices=choices)
-    return _identity(plain, ignore=(*IGNORED_IN_COMPARISON, "selector"))
+    return _identity(plain, ignore=(*IGNORED_IN_COMPARISON, "selector", "seed"))
 
 
 def _note(chosen: list[str], keys: dict[str, list[Any]], here: dict[str, list[Any]]) -> list[str]:
@@ -255,11 +271,3 @@ def _nobody_declares(key: str, configs: list[DictConfig]) -> str:
         if isinstance(node, DictConfig):
             known.update(dict.fromkeys(str(k) for k in node if k not in ("_target_", "hydra")))
     return f"{key}: no chosen member has such a setting.{suggestion(last, list(known))}"
-
-
-def _text(value: Any) -> str:
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return str(value).lower()
-    return str(value)

@@ -17,6 +17,7 @@ FIRST = (
     "run",
     "status",
     "dataset",
+    "data",
     "backend",
     "selector",
     "window",
@@ -97,17 +98,20 @@ def find_runs(paths: Iterable[Path]) -> list[Run]:
     return list(found.values())
 
 
-def row(run: Run, varied: str = "") -> dict[str, Any]:
+def row(run: Run, varied: str = "", data: str = "") -> dict[str, Any]:
     """A run as one row of a table; what does not exist is None.
 
-    ``varied`` are further words for the column of settings.
+    ``varied`` are further words for the column of settings, ``data`` for that of the data.
     """
     selector = run.config.get("selector") or {}
+    choices = run.record.get("choices", {})
     values: dict[str, Any] = {
-        "run": run.path.name,
+        "run": run.path.resolve().name,
         "status": run.record.get("status"),
-        **{key: run.record.get("choices", {}).get(key) for key in ("dataset", "backend")},
-        "selector": run.record.get("choices", {}).get("selector"),
+        "dataset": choices.get("dataset"),
+        "data": " ".join(filter(None, [choices.get("dataset"), data])) or None,
+        "backend": choices.get("backend"),
+        "selector": choices.get("selector"),
         "window": selector.get("window"),
         "threshold": selector.get("threshold"),
         "settings": " ".join(filter(None, [selector_settings(selector), varied])),
@@ -141,25 +145,50 @@ def selector_settings(selector: dict[str, Any]) -> str:
 def varied_settings(runs: Sequence[Run]) -> dict[Path, str]:
     """For every run the settings that tell it from others of its data set, backend and selector
     and have no column of their own, as overrides ("guess=odometry backend.kernel=huber")."""
-    groups: dict[tuple[Any, ...], list[Run]] = {}
+    # registration and descriptor only feed the plug-ins, where their values stand again
+    omitted = ("dataset", "selector", "registration", "descriptor")
+    flat = {
+        run.path: dict(run.record.get("choices", {}))
+        | _flat({k: v for k, v in run.config.items() if k not in omitted})
+        for run in runs
+    }
+    return _differing(runs, flat, ("dataset", "backend", "selector"))
+
+
+def varied_data(runs: Sequence[Run]) -> dict[Path, str]:
+    """For every run the settings of its data set that tell it from others: "path=aces.clf.gz".
+
+    Runs on other data are not to be compared as if they were on the same.
+    """
+    flat = {run.path: _flat(run.config.get("dataset") or {}) for run in runs}
+    for settings in flat.values():
+        if "path" in settings:  # what belongs to a path says nothing more
+            settings.pop("relations", None)
+            settings.pop("poses", None)
+    return _differing(runs, flat, ("dataset",))
+
+
+def _differing(
+    runs: Sequence[Run], flat: dict[Path, dict[str, Any]], same: tuple[str, ...]
+) -> dict[Path, str]:
+    """For every run its settings that others with the ``same`` choices do not share."""
+    groups: dict[tuple[Any, ...], list[Path]] = {}
     for run in runs:
         choices = run.record.get("choices", {})
-        groups.setdefault(
-            tuple(choices.get(key) for key in ("dataset", "backend", "selector")), []
-        ).append(run)
+        groups.setdefault(tuple(choices.get(key) for key in same), []).append(run.path)
     words: dict[Path, str] = {}
-    for group in groups.values():
-        flat = [_flat(run) for run in group]
-        keys = dict.fromkeys(key for one in flat for key in one)
-        differ = [k for k in keys if len({json.dumps(one.get(k)) for one in flat}) > 1]
-        for run, one in zip(group, flat, strict=True):
-            words[run.path] = " ".join(f"{k}={_plain(one[k])}" for k in differ if k in one)
+    for paths in groups.values():
+        keys = dict.fromkeys(key for path in paths for key in flat[path])
+        differ = [k for k in keys if len({json.dumps(flat[p].get(k)) for p in paths}) > 1]
+        for path in paths:
+            mine = flat[path]
+            words[path] = " ".join(f"{k}={_plain(mine[k])}" for k in differ if k in mine)
     return words
 
 
-def _flat(run: Run) -> dict[str, Any]:
-    """Choices and settings outside the selector as one level of keys; seeds left out."""
-    found: dict[str, Any] = dict(run.record.get("choices", {}))
+def _flat(config: dict[str, Any]) -> dict[str, Any]:
+    """Settings as one level of keys; seeds and folders left out."""
+    found: dict[str, Any] = {}
 
     def walk(prefix: str, node: Any) -> None:
         if isinstance(node, dict):
@@ -169,9 +198,7 @@ def _flat(run: Run) -> dict[str, Any]:
         else:
             found[prefix] = node
 
-    # registration and descriptor only feed the plug-ins, where their values stand again
-    omitted = ("selector", "registration", "descriptor")
-    walk("", {k: v for k, v in run.config.items() if k not in omitted})
+    walk("", config)
     return found
 
 
@@ -183,8 +210,15 @@ def frame(runs: Sequence[Run]) -> pd.DataFrame:
     """One row a run."""
     import pandas as pd
 
-    varied = varied_settings(runs)
-    return pd.DataFrame([row(run, varied[run.path]) for run in runs])
+    varied, data = varied_settings(runs), varied_data(runs)
+    return _last(pd.DataFrame([row(run, varied[run.path], data[run.path]) for run in runs]))
+
+
+def _last(table: pd.DataFrame) -> pd.DataFrame:
+    """The table with the reason of failure after all metrics, whichever run came first."""
+    if "reason" not in table:
+        return table
+    return table[[*(c for c in table if c != "reason"), "reason"]]
 
 
 def over_seeds(runs: Sequence[Run]) -> pd.DataFrame:
@@ -194,15 +228,15 @@ def over_seeds(runs: Sequence[Run]) -> pd.DataFrame:
     """
     import pandas as pd
 
-    varied = varied_settings(runs)
+    varied, data = varied_settings(runs), varied_data(runs)
     groups: dict[str, list[dict[str, Any]]] = {}
     for run in runs:
-        groups.setdefault(method_key(run), []).append(row(run, varied[run.path]))
+        groups.setdefault(method_key(run), []).append(row(run, varied[run.path], data[run.path]))
     rows = [_median_row(group) for group in groups.values()]
     order: dict[tuple[Any, Any], int] = {}
     for one in rows:
-        order.setdefault((one["dataset"], one["backend"]), len(order))
-    return pd.DataFrame(sorted(rows, key=lambda r: order[(r["dataset"], r["backend"])]))
+        order.setdefault((one["data"], one["backend"]), len(order))
+    return _last(pd.DataFrame(sorted(rows, key=lambda r: order[(r["data"], r["backend"])])))
 
 
 def method_key(run: Run) -> str:
@@ -234,7 +268,7 @@ def _median_row(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
     table = pd.DataFrame(rows)
     out: dict[str, Any] = {}
-    for key in rows[0]:
+    for key in table:
         column = table[key].dropna()
         if key == "seed":
             out["seeds"] = len(rows)

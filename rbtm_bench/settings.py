@@ -10,15 +10,19 @@ from __future__ import annotations
 import difflib
 import importlib
 import inspect
+import json
 import re
 import typing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+from annotated_types import Ge, Gt
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
-from hydra.errors import HydraException
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import TypeAdapter, ValidationError
@@ -27,6 +31,15 @@ from rbtm_bench.errors import ConfigError
 
 PLUGIN_GROUPS = ("dataset", "backend", "similarity", "selector", "guess", "check", "target")
 GROUPS = (*PLUGIN_GROUPS, "metrics")
+
+SHARED = (
+    ("seed", Annotated[int, Ge(0)]),
+    ("out", str | None),
+    ("overwrite", bool),
+    ("pin", bool),
+    ("map_resolution", Annotated[float, Gt(0)]),
+)
+"""The settings outside every group, with their types."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +67,27 @@ def compose_settings(overrides: list[str], extra_dirs: tuple[Path, ...] = ()) ->
 
 def composed(overrides: list[str]) -> DictConfig:
     """The composed config with Hydra's own node; mistakes become ``ConfigError``."""
+    for override in parsed(overrides):
+        group = override.key_or_group
+        if group not in GROUPS or override.is_delete() or override.is_sweep_override():
+            continue
+        several = isinstance(override.value(), list) and group == "metrics"
+        if not isinstance(override.value(), str) and not several:
+            raise ConfigError(f"{override.input_line}: expected the name of one {group}")
     try:
         return compose("config", overrides=overrides, return_hydra_config=True)
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(_unknown_key(error, overrides) or explain(error)) from error
+
+
+def parsed(words: list[str]) -> list[Override]:
+    """The words as Hydra reads them. Raises ``ConfigError`` for one that it cannot read."""
+    hydra = GlobalHydra.instance()
+    loader = hydra.config_loader() if hydra.is_initialized() else None
+    try:
+        return list(OverridesParser.create(loader).parse_overrides(words))
+    except HydraException as error:
+        raise ConfigError(explain(error)) from error
 
 
 def _unknown_key(error: Exception, overrides: list[str]) -> str | None:
@@ -132,13 +162,14 @@ def from_hydra(cfg: DictConfig, overrides: tuple[str, ...] = ()) -> Settings:
     """Checked settings out of a composed config that still has its ``hydra`` node."""
     choices = {str(k): str(v) for k, v in cfg.hydra.runtime.choices.items()}
     plain = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key != "hydra"])
-    missing = sorted(OmegaConf.missing_keys(plain))
-    if missing:
-        raise ConfigError(f"{missing[0]} is not set: give it as {missing[0]}=<value>")
     try:
+        missing = sorted(OmegaConf.missing_keys(plain))
+        if missing:
+            raise ConfigError(f"{missing[0]} is not set: give it as {missing[0]}=<value>")
         config = OmegaConf.to_container(plain, resolve=True)
     except OmegaConfBaseException as error:
-        raise ConfigError(_first_line(error)) from error
+        key = f"{error.full_key}: " if getattr(error, "full_key", None) else ""
+        raise ConfigError(f"{key}{_first_line(error)}") from error
     assert isinstance(config, dict)
     settings = Settings(
         {str(k): v for k, v in config.items()},
@@ -151,7 +182,9 @@ def from_hydra(cfg: DictConfig, overrides: tuple[str, ...] = ()) -> Settings:
 
 def check(config: dict[str, Any]) -> None:
     """Hold every ``_target_`` of the config against its constructor. Raises ``ConfigError``."""
-    for key, kind in (("seed", int), ("overwrite", bool), ("map_resolution", float)):
+    for key, kind in SHARED:
+        if key not in config:
+            raise ConfigError(f"{key} is not set: it cannot be left out")
         _check_value(key, config[key], kind)
     for group in PLUGIN_GROUPS:
         check_node(group, config.get(group))
@@ -164,7 +197,7 @@ def check_node(name: str, node: Any) -> None:
     if not isinstance(node, dict) or "_target_" not in node:
         raise ConfigError(f"{name}: expected a config with a _target_, got {node!r}")
     parameters = constructor_parameters(name, str(node["_target_"]))
-    given = {k: v for k, v in node.items() if not k.startswith("_")}
+    given = {str(k): v for k, v in node.items() if not str(k).startswith("_")}
     accepts_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
     for key, value in given.items():
         if key not in parameters:
@@ -173,6 +206,8 @@ def check_node(name: str, node: Any) -> None:
             known = [k for k, p in parameters.items() if p.kind is not p.VAR_KEYWORD]
             raise ConfigError(f"{name}.{key}: no such setting.{suggestion(key, known)}")
         _check_value(f"{name}.{key}", value, parameters[key].annotation)
+    if node.get("_partial_") or node.get("_args_"):
+        return
     for key, parameter in parameters.items():
         required = parameter.default is parameter.empty and parameter.kind not in (
             parameter.VAR_KEYWORD,
@@ -183,22 +218,49 @@ def check_node(name: str, node: Any) -> None:
 
 
 def locate(name: str, target: str) -> Any:
-    """The class that ``_target_`` names. Raises ``ConfigError`` saying why it is not there."""
-    module_name, _, attribute = target.rpartition(".")
+    """What ``_target_`` names: a class, or something in a class that makes one.
+
+    Raises ``ConfigError`` saying why it is not there, whatever its module raises.
+    """
+    *modules, attribute = target.split(".")
     try:
-        return getattr(importlib.import_module(module_name), attribute)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(f"{name}: cannot load {target}: {error}") from error
+        found, rest = _import(modules)
+        for part in (*rest, attribute):
+            found = getattr(found, part)
+    except Exception as error:
+        known = isinstance(error, ImportError | AttributeError)
+        text = " ".join([*([] if known else [f"{type(error).__name__}:"]), *str(error).split()])
+        raise ConfigError(f"{name}: cannot load {target}: {text}") from error
+    if not callable(found):
+        raise ConfigError(f"{name}: cannot load {target}: not a class")
+    return found
+
+
+def _import(parts: list[str]) -> tuple[Any, list[str]]:
+    """The module that the longest possible start of a dotted name stands for, and the rest."""
+    if not parts:
+        raise ImportError("expected a dotted name such as package.module.Class")
+    for count in range(len(parts), 0, -1):
+        name = ".".join(parts[:count])
+        try:
+            return importlib.import_module(name), parts[count:]
+        except ModuleNotFoundError as error:
+            if count == 1 or error.name != name:
+                raise
+    raise AssertionError("a name of no parts")
 
 
 def constructor_parameters(name: str, target: str) -> dict[str, inspect.Parameter]:
     """The constructor's parameters with evaluated annotations."""
     cls = locate(name, target)
-    signature = inspect.signature(cls)
+    try:
+        signature = inspect.signature(cls)
+    except ValueError:  # written in C: it does not say what it takes
+        return {"kwargs": inspect.Parameter("kwargs", inspect.Parameter.VAR_KEYWORD)}
     init = cls.__init__ if inspect.isclass(cls) else cls
     try:
         hints = typing.get_type_hints(init, include_extras=True)
-    except (NameError, TypeError):
+    except Exception:  # an annotation that only a type checker can look up
         hints = {}
     return {
         key: parameter.replace(annotation=hints.get(key, Any))
@@ -213,14 +275,36 @@ def suggestion(word: str, known: list[str]) -> str:
     return f"{meant} Known: {', '.join(known) if known else '(none)'}"
 
 
+def shown(value: Any) -> str:
+    """A value as one would type it."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, list):
+        return f"[{','.join(map(shown, value))}]"
+    return str(value)
+
+
 def explain(error: Exception) -> str:
-    """One or two lines out of Hydra's longer ones, naming the offending word."""
+    """One line out of Hydra's longer ones, naming the offending word."""
+    if isinstance(error, OverrideParseException):
+        return (
+            f"{error.override}: cannot be read as key=value; quote a value with one of = , ( ) [ ] "
+            "or a quote in it, inside the shell's own quotes: \"key='a=b'\""
+        )
     chain: list[str] = []
     current: BaseException | None = error
     while current is not None:
         chain.append(str(current))
         current = current.__cause__
     text = "\n".join(chain)
+    several = re.search(r"Ambiguous value for argument '(.*)'", text)
+    if several:
+        return (
+            f"{several.group(1)}: one value expected here (rbtm-bench compare takes several; "
+            "[a,b] is a list, and a value with a comma in it needs quotes: \"key='a,b'\")"
+        )
     missing = getattr(error, "missing_cfg_file", None)
     if missing:
         group, _, option = str(missing).rpartition("/")
@@ -228,7 +312,7 @@ def explain(error: Exception) -> str:
         label = f"{group}={option}" if group else str(missing)
         return f"{label}: no such {group or 'config'}.{suggestion(option, options)}"
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    drop = ("full_key", "object_type", "reference_type", "To append", "Set the environment")
+    drop = ("full_key", "object_type", "reference_type", "To append", "Set the environment", "See ")
     kept = [line for line in dict.fromkeys(lines) if not line.startswith(drop)]
     return " | ".join(kept[:3])
 
@@ -238,27 +322,26 @@ def _first_line(error: Exception) -> str:
 
 
 def _check_value(name: str, value: Any, annotation: Any) -> None:
-    """One value against one annotation, without converting numbers from words or booleans."""
+    """One value against one annotation: no word or truth value may stand for a number.
+
+    Held against it as JSON, so that a list may stand for a tuple and a word for a path.
+    """
+    if isinstance(value, dict) and "_target_" in value:
+        check_node(name, value)
+        return
     if annotation is Any or annotation is inspect.Parameter.empty:
         return
+    if isinstance(value, float) and value != value:
+        raise ConfigError(f"{name}={value}: input should be a number")
     try:
         adapter: TypeAdapter[Any] = TypeAdapter(annotation)
     except Exception:  # an annotation that pydantic has no schema for: nothing to check against
         return
     try:
-        adapter.validate_python(value, strict=True)
+        adapter.validate_json(json.dumps(value, default=str), strict=True)
     except ValidationError as error:
-        if isinstance(value, str) and _is_text_like(adapter, value):
-            return
-        problem = error.errors()[0]
-        raise ConfigError(
-            f"{name}={value}: {problem['msg'][0].lower()}{problem['msg'][1:]}"
-        ) from error
-
-
-def _is_text_like(adapter: TypeAdapter[Any], value: str) -> bool:
-    """A string may stand for a path or an enum member, never for a number or a truth value."""
-    try:
-        return not isinstance(adapter.validate_python(value), int | float | bool)
-    except ValidationError:
-        return False
+        problems = dict.fromkeys(p["msg"][:1].lower() + p["msg"][1:] for p in error.errors())
+        text = " or ".join(list(problems)[:3])
+        if "valid string" in text:
+            text += f"; quote it: \"{name}='{shown(value)}'\""
+        raise ConfigError(f"{name}={shown(value)}: {text}") from error

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +18,10 @@ ERRORS = (
     ("final_translation_error_mm", "mm", "final position error"),
     ("ape_rmse_m", "m", "APE RMSE"),
 )
-"""What methods are compared by: the first of these that the runs have."""
+"""What methods are compared by: the first of these that the runs on a data set have."""
 
 SHORT = (
-    "dataset",
+    "data",
     "backend",
     "selector",
     "window",
@@ -56,8 +57,11 @@ def render(table: pd.DataFrame, fmt: str) -> str:
     if fmt == "csv":
         return table.to_csv(index=False).rstrip("\n")
     if fmt == "json":
-        return str(table.to_json(orient="records", indent=1))
-    shown = table[[c for c in table if table[c].notna().any() and (table[c] != "").any()]]
+        rows = table.astype(object).to_dict(orient="records")
+        return json.dumps(
+            [{k: None if _is_empty(v) else v for k, v in row.items()} for row in rows], indent=1
+        )
+    shown = table[[c for c in table if not all(_is_empty(v) for v in table[c])]]
     words = shown.map(_word)
     numeric = {c for c in shown if all(_is_number(v) or _is_empty(v) for v in shown[c])}
     if fmt == "html":
@@ -75,6 +79,8 @@ def render(table: pd.DataFrame, fmt: str) -> str:
     align = ["right" if c in numeric else "left" for c in shown]
     headers = list(shown) if fmt == "md" else [_stacked(str(c)) for c in shown]
     kind = "github" if fmt == "md" else "simple"
+    if fmt == "md":
+        words = words.map(lambda word: word.replace("|", "\\|"))
     return tabulate(
         words.to_numpy().tolist(), headers, tablefmt=kind, colalign=align, disable_numparse=True
     )
@@ -106,19 +112,19 @@ def verdict(table: pd.DataFrame) -> list[str]:
     has rbtm and at least one control. Not a test of significance: medians are compared.
     """
     lines: list[str] = []
-    usable = [c for c in ERRORS if c[0] in table and table[c[0]].notna().any()]
-    if not usable:
-        return lines
-    key, unit, name = usable[0]
-    for (dataset, backend), rows in table.dropna(subset=[key]).groupby(
-        ["dataset", "backend"], sort=False
-    ):
+    for (data, backend), methods in table.groupby(["data", "backend"], sort=False):
+        here = table[table.data == data]
+        usable = [c for c in ERRORS if c[0] in table and here[c[0]].notna().any()]
+        if not usable:
+            continue
+        key, unit, name = usable[0]
+        rows = methods.dropna(subset=[key]).astype({key: float})
         ours, controls = rows[rows.selector == "rbtm"], rows[rows.selector != "rbtm"]
         if ours.empty or controls.empty or backend == "none":
             continue
         best, rival = ours.loc[ours[key].idxmin()], controls.loc[controls[key].idxmin()]
         line = (
-            f"{dataset}, {backend}: {name} of {_label(best)} is {_figure(best[key])} {unit}, "
+            f"{data}, {backend}: {name} of {_label(best)} is {_figure(best[key])} {unit}, "
             f"of the best control, {_label(rival)}, {_figure(rival[key])} {unit}: "
             f"{_relation(float(best[key]), float(rival[key]))}"
         )
@@ -126,7 +132,7 @@ def verdict(table: pd.DataFrame) -> list[str]:
         if not previous.empty and rival.selector != "previous":
             value = float(previous[key].min())
             line += f"; previous {_figure(value)} {unit}, {_relation(float(best[key]), value)}"
-        line += _without_registration(table, dataset, key, unit, float(best[key]))
+        line += _without_registration(table, str(data), key, unit, float(best[key]))
         tries = rows.groupby("selector", sort=False).size()
         if tries.max() > 1:
             line += ". Best of " + ", ".join(f"{n} x {s}" for s, n in tries.items())
@@ -136,10 +142,10 @@ def verdict(table: pd.DataFrame) -> list[str]:
 
 
 def _without_registration(
-    table: pd.DataFrame, dataset: str, key: str, unit: str, ours: float
+    table: pd.DataFrame, data: str, key: str, unit: str, ours: float
 ) -> str:
     """The baseline that every registration has to beat, where the table has it."""
-    rows = table[(table.dataset == dataset) & (table.backend == "none")][key].dropna()
+    rows = table[(table.data == data) & (table.backend == "none")][key].dropna()
     if rows.empty:
         return ""
     value = float(rows.min())

@@ -13,6 +13,7 @@ from typing import Any
 
 from rbtm_bench import comparison, plots, results, summary
 from rbtm_bench.cli import guarded
+from rbtm_bench.files import make_folder
 from rbtm_bench.grid import make_points
 from rbtm_bench.progress import bar
 
@@ -38,7 +39,7 @@ def demo(out: Path) -> int:
     """Run the grids side by side and print the table, the verdict and the figures."""
     words = ["dataset=corridor", f"seed={SEEDS}", "overwrite=true"]
     points = [point for grid in GRIDS for point in make_points([*grid, *words])[0]]
-    comparison.make_folder(out)
+    make_folder(out)
     failed: list[str] = []
     print(f"{len(points)} runs on the simulated corridor, 181 scans each, seeds {SEEDS}")
     with bar("runs", len(points)) as progress:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import inspect
 import weakref
 from collections.abc import Iterable, Iterator
@@ -364,7 +363,6 @@ def test_memory_does_not_grow(capacity) -> None:
             yield scan
 
     for _ in odometry(stream(), method(selector=Rbtm(capacity + 1))):
-        gc.collect()
         assert sum(ref() is not None for ref in scans) <= 2
         # the window, the two most recent scans and the one in hand
         assert sum(ref() is not None for ref in clouds) <= capacity + 3

@@ -89,7 +89,7 @@ def _representatives(done: list[Run]) -> Iterator[tuple[Run, str]]:
     for group in by_data.values():
         real = [run for run in group if labels.choice(run, "backend") != "none"] or group
         chosen = min(real, key=labels.seed_order)
-        note = labels.unbroken(f"run {labels.folder_name(chosen)}")
+        note = f"run {labels.folder_name(chosen)}"
         if len(group) > 1:
             note += f": the first of {len(group)} rbtm runs"
         yield chosen, note

@@ -48,12 +48,14 @@ def stems(runs: Sequence[Run]) -> dict[Run, str]:
     out: dict[Run, str] = {}
     depth = 1
     while len(out) < len(runs):
-        tails = {run: parts[run][-depth:] for run in runs if run not in out}
-        counts = Counter(tails.values())
-        last = all(depth >= len(parts[run]) for run in tails)
-        for run, tail in tails.items():
-            if counts[tail] == 1 or last:
-                out[run] = "-".join(part.strip("/\\:") for part in tail)
+        names = {
+            run: "-".join(part.strip("/\\:") for part in parts[run][-depth:])
+            for run in runs
+            if run not in out
+        }
+        counts = Counter([*names.values(), *out.values()])
+        last = all(depth >= len(parts[run]) for run in names)
+        out.update({run: name for run, name in names.items() if counts[name] == 1 or last})
         depth += 1
     return out
 

@@ -19,8 +19,13 @@ from rbtm_bench.results import Run
 PANELS_IN_A_LINE = 4
 LOG_FROM = 20.0
 """Largest over smallest error from which on the axis is logarithmic."""
-ROW = 0.19
-"""Height of a method's row, inches."""
+ROW = 0.06
+LINE = 0.13
+"""Height of a method's row, inches: for itself, and for every line of its name."""
+LONG_NAME = 18
+"""Letters of a name from which on one column is too narrow."""
+NAMES = 2.4
+"""Width of the methods' names at most, inches."""
 ONE_VALUE = 1.02
 """Largest over smallest error of backend "none" up to which a line stands for all of them."""
 
@@ -38,16 +43,16 @@ Row = tuple[str, bool]
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """One data set's part of the figure. ``cells`` holds the errors of (backend, row), empty
-    where every run failed; ``guess`` the error without any registration, None if it has panels
-    of its own."""
+    """One data set's part of the figure. ``cells`` holds the errors of (backend, row), None for
+    a run without one; ``guess`` is the error without any registration, None if that has panels of
+    its own."""
 
     name: str
     unit: str
     error: str
     backends: list[str]
     rows: list[Row]
-    cells: dict[tuple[str, Row], list[float]]
+    cells: dict[tuple[str, Row], list[float | None]]
     guess: float | None
 
     @property
@@ -57,7 +62,14 @@ class Data:
     @property
     def height(self) -> float:
         """Inches."""
-        return self.lines * (ROW * len(self.rows) + 0.4) + 0.55
+        lines = max(name.count("\n") + 1 for name, _ in self.rows)
+        return self.lines * ((ROW + LINE * lines) * len(self.rows) + 0.4) + 0.55
+
+    @property
+    def values(self) -> list[float]:
+        """All there are, the guess alone included."""
+        all_of_them = [*(v for values in self.cells.values() for v in values), self.guess]
+        return [v for v in all_of_them if v is not None]
 
 
 def errors(runs: Sequence[Run]) -> Figure | None:
@@ -69,7 +81,7 @@ def errors(runs: Sequence[Run]) -> Figure | None:
     if not parts:
         return None
     columns = min(max(len(part.backends) for part in parts), PANELS_IN_A_LINE)
-    long_names = max(len(name) for part in parts for name, _ in part.rows) > 18
+    long_names = max(len(name) for part in parts for name, _ in part.rows) > LONG_NAME
     width = style.DOUBLE if columns > 1 or long_names else style.SINGLE
     heights = [part.height for part in parts]
     figure = Figure(figsize=(width, sum(heights) + 0.7))
@@ -126,11 +138,11 @@ def _data(name: str, runs: list[Run], names: dict[Run, str], error: tuple[str, s
         guess = None
     words = labels.varying(runs, "backend")
     title = {run: ", ".join([labels.choice(run, "backend"), *words[run]]) for run in runs}
-    cells: dict[tuple[str, Row], list[float]] = {}
+    cells: dict[tuple[str, Row], list[float | None]] = {}
     for run in sorted(runs, key=labels.method_order):
-        row = (names[run], labels.choice(run, "selector") == "rbtm")
+        row = (style.wrapped(names[run], NAMES), labels.choice(run, "selector") == "rbtm")
         number = labels.value(run, key) if run.done else None
-        cells.setdefault((title[run], row), []).extend([] if number is None else [number])
+        cells.setdefault((title[run], row), []).append(number)
     panels = list(dict.fromkeys(title[run] for run in runs))
     rows = list(dict.fromkeys(row for _, row in cells))
     return Data(name, unit, what, panels, rows, cells, guess)
@@ -147,6 +159,9 @@ def _guess(runs: Sequence[Run], key: str) -> float | None:
 def _draw_part(place: SubFigure, part: Data, columns: int, named: bool) -> tuple[Text, list[Axes]]:
     """All panels of one data set, with one scale; returns their common label and them."""
     axes = place.subplots(part.lines, columns, sharex=True, sharey=True, squeeze=False)
+    _scale(axes[0, 0], part.values)
+    axes[0, 0].set_yticks(range(len(part.rows)), [name for name, _ in part.rows])
+    axes[0, 0].set_ylim(len(part.rows) - 0.4, -0.6)
     for number, ax in enumerate(axes.ravel()):
         if number >= len(part.backends):
             ax.remove()
@@ -155,9 +170,6 @@ def _draw_part(place: SubFigure, part: Data, columns: int, named: bool) -> tuple
         ax.set_title(style.plain(part.backends[number]))
         if number + columns >= len(part.backends):
             ax.tick_params(labelbottom=True)
-    _scale(axes[0, 0], [v for values in part.cells.values() for v in values], part.guess)
-    axes[0, 0].set_yticks(range(len(part.rows)), [style.plain(name) for name, _ in part.rows])
-    axes[0, 0].set_ylim(len(part.rows) - 0.4, -0.6)
     if named:
         place.suptitle(style.plain(part.name))
     label = place.supxlabel(f"{part.error} ({part.unit})", fontsize=style.FONT)
@@ -167,11 +179,13 @@ def _draw_part(place: SubFigure, part: Data, columns: int, named: bool) -> tuple
 def _draw_panel(ax: Axes, part: Data, backend: str) -> None:
     for height, row in enumerate(part.rows):
         ax.axhline(height, color="0.88", lw=0.5, zorder=0)
-        values = part.cells.get((backend, row))
+        runs = part.cells.get((backend, row), [])
+        values = [value for value in runs if value is not None]
         if not values:
-            word = "not run" if values is None else "failed"
-            ax.text(0.03, height, word, transform=ax.get_yaxis_transform(), va="center", c="0.4")
+            _remark(ax, height, "no result" if runs else "not run", values)
             continue
+        if len(values) < len(runs):
+            _remark(ax, height, f"{len(values)} of {len(runs)} runs", values)
         if len(values) > 1:
             ax.plot(np.median(values), height, ls="", **MEDIAN, zorder=2)
         ax.plot(values, [height] * len(values), ls="", **LOOKS[row[1]], zorder=3)
@@ -179,9 +193,20 @@ def _draw_panel(ax: Axes, part: Data, backend: str) -> None:
         ax.axvline(part.guess, **GUESS, zorder=1)
 
 
-def _scale(ax: Axes, values: list[float], guess: float | None) -> None:
+def _remark(ax: Axes, height: int, words: str, values: list[float]) -> None:
+    """Words in a row, at the end that is farther from its markers."""
+    markers = [ax.transData.transform((value, height))[0] for value in values]
+    left, right = ax.transAxes.transform([(0, 0), (1, 0)])[:, 0]
+    at_left = not markers or min(markers) - left > right - max(markers)
+    ax.text(
+        0.02 if at_left else 0.98, height, words, transform=ax.get_yaxis_transform(),
+        ha="left" if at_left else "right", va="center", c="0.35",
+        bbox={"fc": "w", "ec": "none", "pad": 1.0},
+    )  # fmt: skip
+
+
+def _scale(ax: Axes, values: list[float]) -> None:
     """Logarithmic where the errors span more than 20 times; zeros then lie on a linear foot."""
-    values = [*values, *([] if guess is None else [guess])]
     positive = [v for v in values if v > 0]
     if positive and max(values) > LOG_FROM * min(positive):
         if min(values) > 0:
@@ -190,7 +215,7 @@ def _scale(ax: Axes, values: list[float], guess: float | None) -> None:
             ax.set_xlim(min(values) / 1.6, max(values) * 1.6)
         else:
             ax.set_xscale("symlog", linthresh=min(positive))
-            ax.margins(x=0.08)
+            ax.set_xlim(-0.3 * min(positive), max(values) * 1.6)
         return
     ax.set_xlim(0, 1.08 * max(values) or 1.0)
     ax.xaxis.set_major_locator(MaxNLocator(4))
@@ -208,7 +233,7 @@ def _legend(parts: list[Data]) -> list[Line2D]:
     kinds = {is_rbtm for part in parts for _, is_rbtm in part.rows}
     words = {True: "rbtm", False: "control"}
     out = [Line2D([], [], ls="", **LOOKS[kind], label=words[kind]) for kind in sorted(kinds)]
-    if any(len(values) > 1 for part in parts for values in part.cells.values()):
+    if any(len(runs) > 1 for part in parts for runs in part.cells.values()):
         out.append(Line2D([], [], ls="", **MEDIAN, label="median"))
     if any(part.guess is not None for part in parts):
         out.append(Line2D([], [], **GUESS, label="backend none: the guess alone"))

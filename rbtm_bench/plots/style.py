@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,8 @@ SINGLE = 3.4
 """Width of a paper's column, inches."""
 DOUBLE = 7.0
 """Width over both columns, inches."""
+MARGIN = 0.12
+"""Left free on either side of a title, inches."""
 TALLEST = 8.5
 """Height that still fits a page, inches."""
 
@@ -80,16 +82,28 @@ def paper() -> Iterator[None]:
 def wrapped(text: str, width: float) -> str:
     """Text broken into lines that fit ``width`` inches; line breaks in it stay."""
     lines: list[str] = []
+    limit = width - 2 * MARGIN
     for paragraph in plain(text).splitlines():
         line = ""
-        for word in paragraph.split(" "):
+        for word in _pieces(paragraph.split(" "), limit):
             longer = f"{line} {word}" if line else word
-            if line and _inches(longer) > width - 0.15:
+            if line and _inches(longer) > limit:
                 lines.append(line)
                 longer = word
             line = longer
         lines.append(line)
     return "\n".join(lines)
+
+
+def _pieces(words: Sequence[str], width: float) -> Iterator[str]:
+    """The words, those too wide for a line in parts, cut behind a hyphen where there is one."""
+    for word in words:
+        while _inches(word) > width:
+            fits = next(n for n in range(len(word) - 1, 0, -1) if _inches(word[:n]) <= width)
+            cut = word.rfind("-", 1, fits) + 1 or fits
+            yield word[:cut]
+            word = word[cut:]
+        yield word
 
 
 def plain(text: str) -> str:
@@ -98,8 +112,17 @@ def plain(text: str) -> str:
 
 
 def _inches(text: str) -> float:
-    """Width of a line in our font."""
-    return float(TextPath((0, 0), text, size=FONT).get_extents().width) / 72
+    """Width of a line in our font, without kerning."""
+    return sum(map(_letter, text)) / 72
+
+
+@lru_cache
+def _letter(letter: str) -> float:
+    """Width of a letter, points, with the space around it."""
+    widths = [
+        TextPath((0, 0), text, size=FONT).get_extents().width for text in (f"|{letter}|", "||")
+    ]
+    return float(widths[0] - widths[1])
 
 
 def fit_height(figure: Figure, columns: Sequence[Axes], tallest: float) -> None:

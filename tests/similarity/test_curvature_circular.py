@@ -34,10 +34,12 @@ def test_u_by_hand(corners) -> None:
     np.testing.assert_allclose(got, descriptor(u), atol=1e-14)
 
 
+@pytest.mark.parametrize("sense", [1, -1])
 @pytest.mark.parametrize(("half_span_deg", "h"), [(0.1, 1), (1.0, 1), (1.6, 2), (3.0, 3)])
-def test_the_half_span_is_in_degrees(beams, half_span_deg, h) -> None:
-    """On a circle of evenly spaced beams every chord is at a right angle to its beam."""
-    angles = np.radians(np.arange(-90.0, 91.0))
+def test_the_half_span_is_in_degrees(beams, half_span_deg, h, sense) -> None:
+    """On a circle of evenly spaced beams, sensed either way round, every chord is at a right
+    angle to its beam."""
+    angles = sense * np.radians(np.arange(-90.0, 91.0))
     got = CurvatureCircular(half_span_deg).describe(beams(np.full(181, 2.0), angles))
     expected = np.exp(2j * (angles[h:-h] + np.pi / 2))
     np.testing.assert_allclose(got, descriptor(expected), atol=1e-12)
