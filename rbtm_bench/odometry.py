@@ -66,7 +66,7 @@ def odometry(scans: Iterable[Scan], method: Method) -> Iterator[Step]:
 
 def _prepare(scan: Scan, backend: Backend, record: StepRecord) -> Prepared | None:
     """The prepared scan, or None (and why) if the backend cannot use it."""
-    with _timed(record, "t_prepare_s"):
+    with _timed(record, "t_prepare_s", backend):
         try:
             return backend.prepare(scan)
         except BackendError as error:
@@ -77,7 +77,7 @@ def _prepare(scan: Scan, backend: Backend, record: StepRecord) -> Prepared | Non
 def _describe(scan: Scan, method: Method, record: StepRecord) -> Descriptor | None:
     if not method.selector.needs_scores:
         return None
-    with _timed(record, "t_describe_s"):
+    with _timed(record, "t_describe_s", method.similarity):
         return method.similarity.describe(scan)
 
 
@@ -91,7 +91,7 @@ def _select(
     """The selector's ordered candidates for the scan."""
     if len(window) == 0:
         return Selection(())
-    with _timed(record, "t_select_s"):
+    with _timed(record, "t_select_s", method.similarity):
         if descriptor is None:
             scores = np.full(len(window), np.nan)
         else:
@@ -128,7 +128,8 @@ def _register(
                 result = method.backend.register(prepared, target, T_guess)
                 why_not = method.check.reject(result, T_guess)
             record.t_register_s += result.seconds
-            record.t_check_s -= result.seconds
+            if not result.reused:
+                record.t_check_s -= result.seconds
         except BackendError as error:
             why_not = str(error)
         if why_not is None:
@@ -152,15 +153,18 @@ def _record(record: StepRecord, candidate: Candidate, result: RegistrationResult
     record.score = candidate.score
     record.converged = result.converged
     record.fitness, record.inlier_rmse_m = result.fitness, result.inlier_rmse
-    record.iterations = result.iterations
+    record.iterations, record.reused = result.iterations, result.reused
     record.library_fitness, record.library_rmse_m = result.library_fitness, result.library_rmse
 
 
 @contextmanager
-def _timed(record: StepRecord, stage: str) -> Iterator[None]:
-    """Add the block's wall time to a stage of the record."""
+def _timed(record: StepRecord, stage: str, plugin: Backend | Similarity | None = None) -> Iterator[None]:
+    """Add the block's wall time to a stage of the record, and what a shared answer saved."""
+    if plugin is not None:
+        plugin.saved_seconds = 0.0
     started = time.perf_counter()
     try:
         yield
     finally:
-        setattr(record, stage, getattr(record, stage) + time.perf_counter() - started)
+        spent = time.perf_counter() - started + (plugin.saved_seconds if plugin else 0.0)
+        setattr(record, stage, getattr(record, stage) + spent)

@@ -71,6 +71,8 @@ class RegistrationResult:
     information: Array | None = None
     library_fitness: float | None = None
     library_rmse: float | None = None
+    reused: bool = False
+    """Not computed now but taken from memory or the pair store; ``seconds`` is what it took."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +113,7 @@ class StepRecord:
     iterations: int | None = None
     library_fitness: float | None = None
     library_rmse_m: float | None = None
+    reused: bool | None = None
     t_prepare_s: float = 0.0
     t_describe_s: float = 0.0
     t_select_s: float = 0.0

@@ -27,16 +27,23 @@ MIN_INLIERS = 3
 """With fewer inliers a plane motion is not determined: never called converged."""
 
 
+TargetKey = tuple[tuple[int, bytes | None], ...]
+"""The scans that a prepared cloud holds: their numbers, and for merged ones where they lie."""
+
+
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """A scan ready to be registered many times; never modified.
 
-    ``points`` (N, 3) m, thinned; ``native`` is whatever the backend built from them.
+    ``points`` (N, 3) m, thinned; ``native`` is whatever the backend built from them. ``key``
+    names the scans that it holds, and ``seconds`` is what its preparation took.
     """
 
     points: Array
     planar: bool
     native: Any
+    key: TargetKey = ()
+    seconds: float = 0.0
 
     @cached_property
     def tree(self) -> Any:
@@ -68,6 +75,8 @@ class Backend(ABC):
     """What the method can register: planar scans ("2d"), clouds in space ("3d")."""
     is_baseline: bool = False
     """True for a method that hands back its guess: the contract does not expect it to be right."""
+    saved_seconds: float = 0.0
+    """What the last answer would have taken, had it not been shared; plug-ins leave it alone."""
 
     def __init__(
         self,
@@ -88,18 +97,22 @@ class Backend(ABC):
     def prepare(self, scan: Scan) -> Prepared:
         """Thin and build a scan, once. Raises ``BackendError`` on points that are not finite or
         too few (fewer than 6)."""
+        started = time.perf_counter()
         points = np.array(scan.points, dtype=np.float64, order="C")  # the scan's stay as they are
         if points.ndim != 2 or points.shape[1] != 3:
             raise BackendError(f"scan {scan.index}: points {points.shape}: expected (N, 3)")
         if not np.isfinite(points).all():
             raise BackendError(f"scan {scan.index}: some points are not finite")
-        return self._prepared(voxel_downsample(points, self.voxel_size), scan.planar, scan.index)
+        thinned = voxel_downsample(points, self.voxel_size)
+        return self._prepared(thinned, scan.planar, ((scan.index, None),), started)
 
     def merge(self, parts: Sequence[tuple[Prepared, Array]]) -> Prepared:
         """One target out of several prepared scans, each with its T_target_part (4, 4)."""
+        started = time.perf_counter()
         points = np.concatenate([transform(T, part.points) for part, T in parts])
         thinned = voxel_downsample(points, self.voxel_size)
-        return self._prepared(thinned, all(part.planar for part, _ in parts), -1)
+        key = tuple((number, T.tobytes()) for part, T in parts for number, _ in part.key)
+        return self._prepared(thinned, all(part.planar for part, _ in parts), key, started)
 
     def register(
         self, source: Prepared, target: Prepared, T_target_source: Array
@@ -142,12 +155,13 @@ class Backend(ABC):
             library_rmse=alignment.library_rmse,
         )
 
-    def _prepared(self, points: Array, planar: bool, index: int) -> Prepared:
+    def _prepared(self, points: Array, planar: bool, key: TargetKey, started: float) -> Prepared:
         if len(points) < MIN_POINTS:
             raise BackendError(
-                f"scan {index}: {len(points)} points: expected at least {MIN_POINTS}"
+                f"scan {key[0][0]}: {len(points)} points: expected at least {MIN_POINTS}"
             )
-        return Prepared(points, planar, self.build(points, planar))
+        native = self.build(points, planar)
+        return Prepared(points, planar, native, key, time.perf_counter() - started)
 
 
 def evaluate(

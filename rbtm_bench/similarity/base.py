@@ -26,6 +26,8 @@ class Similarity(ABC):
 
     requires: tuple[str, ...] = ()
     """Names of the Python packages that must be importable."""
+    saved_seconds: float = 0.0
+    """What the last answer would have taken, had it not been shared; plug-ins leave it alone."""
 
     def check(self, dataset: Dataset) -> None:  # noqa: B027 (optional to override)
         """Raise ``ConfigError`` if this similarity cannot read the data set."""
@@ -49,20 +51,42 @@ class Similarity(ABC):
     def band(self, descriptors: Descriptor, window: int) -> Array:
         """Scores (N, window - 1) of a whole log: column g - 1 holds S(j, j - g), NaN if g > j.
 
-        Memory: the band, and one block of (256 + window) x 256 scores.
+        The same bits as ``scores`` gives a scan at a time. Memory: the band, one window's work.
         """
+        band = np.full((len(descriptors), window - 1), np.nan)
+        for j in range(1, len(descriptors)):
+            past = descriptors[max(0, j - window + 1) : j]
+            band[j, : len(past)] = self.scores(past, descriptors[j])[::-1]
+        return band
+
+
+class PairwiseSimilarity(Similarity):
+    """A similarity whose score is made of inner products, so that any set of pairs is one call.
+
+    A plug-in writes ``pair_scores`` instead of ``scores``. A pair's bits do not depend on which
+    others it is computed with (``np.vecdot`` takes every pair by itself, a matrix product would
+    not), so a band computed beforehand and scores computed scan by scan are the same.
+    """
+
+    @abstractmethod
+    def pair_scores(self, rows: Descriptor, columns: Descriptor) -> Array:
+        """Scores (...) of descriptors (..., D) and (..., D), whose leading axes broadcast."""
+
+    def scores(self, window: Descriptor, descriptor: Descriptor) -> Array:
+        return self.pair_scores(window, descriptor[None])
+
+    def pairwise(self, rows: Descriptor, columns: Descriptor) -> Array:
+        return self.pair_scores(rows[:, None], columns[None])
+
+    def band(self, descriptors: Descriptor, window: int) -> Array:
         count = len(descriptors)
         band = np.full((count, window - 1), np.nan)
-        gaps = np.arange(1, window)
-        for start in range(0, count, BLOCK):
+        for start in range(0, count, BLOCK):  # a block of descriptors stays in the cache
             stop = min(start + BLOCK, count)
-            first = max(0, start - window + 1)
-            block = self.pairwise(descriptors[first:stop], descriptors[start:stop])
-            scan = np.arange(start, stop)
-            model = scan[:, None] - gaps[None, :]
-            known = model >= 0
-            column = np.broadcast_to((scan - start)[:, None], model.shape)
-            band[start:stop][known] = block[model[known] - first, column[known]]
+            for gap in range(1, min(window, stop)):
+                first = max(start, gap)
+                past, now = descriptors[first - gap : stop - gap], descriptors[first:stop]
+                band[first:stop, gap - 1] = self.pair_scores(past, now)
         return band
 
 

@@ -13,14 +13,14 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.similarity.base import Descriptor, Similarity, require_beams
+from rbtm_bench.similarity.base import Descriptor, PairwiseSimilarity, require_beams
 from rbtm_bench.types import Array, Scan
 
 NEGLIGIBLE_VARIANCE = 1e-12
 """rad^2: below this the angles of a scan are equal to within rounding."""
 
 
-class Curvature(Similarity):
+class Curvature(PairwiseSimilarity):
     """phi_i = atan((y_{i+1} - y_{i-1}) / (x_{i+1} - x_{i-1})) and the correlation coefficient.
 
     Where the paper is silent: N beams give N - 2 values; dx = 0 gives +-pi/2 with the sign of dy;
@@ -44,22 +44,19 @@ class Curvature(Similarity):
             # + 0.0 turns -0.0 into 0.0, so that dx = 0 takes the sign of dy alone
             return np.arctan(dy / (dx + 0.0))
 
-    def scores(self, window: Descriptor, descriptor: Descriptor) -> Array:
-        return self.pairwise(window, descriptor[None])[:, 0]
-
-    def pairwise(self, rows: Descriptor, columns: Descriptor) -> Array:
-        """Equation (3) over the values that both scans have; all pairs by matrix products."""
+    def pair_scores(self, rows: Descriptor, columns: Descriptor) -> Array:
+        """Equation (3) over the values that both scans have."""
         x, x_known = _zero_unknown(rows)
         y, y_known = _zero_unknown(columns)
-        shared = x_known @ y_known.T
-        sum_x, sum_y = x @ y_known.T, x_known @ y.T
+        shared = np.vecdot(x_known, y_known)
+        sum_x, sum_y = np.vecdot(x, y_known), np.vecdot(x_known, y)
         with np.errstate(divide="ignore", invalid="ignore"):
-            cov = (x @ y.T - sum_x * sum_y / shared) / shared
-            var_x = ((x * x) @ y_known.T - sum_x**2 / shared) / shared
-            var_y = (x_known @ (y * y).T - sum_y**2 / shared) / shared
+            cov = (np.vecdot(x, y) - sum_x * sum_y / shared) / shared
+            var_x = (np.vecdot(x * x, y_known) - sum_x**2 / shared) / shared
+            var_y = (np.vecdot(x_known, y * y) - sum_y**2 / shared) / shared
             score = cov / np.sqrt(var_x * var_y)
         defined = (
-            (shared >= max(2.0, self.min_valid_share * rows.shape[1]))
+            (shared >= max(2.0, self.min_valid_share * rows.shape[-1]))
             & (var_x > NEGLIGIBLE_VARIANCE)
             & (var_y > NEGLIGIBLE_VARIANCE)
         )

@@ -7,6 +7,7 @@ setting is for and what was measured.
 
 from __future__ import annotations
 
+import functools
 from typing import Annotated, Literal
 
 import numpy as np
@@ -14,13 +15,13 @@ from annotated_types import Ge, Gt, Le
 
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.similarity.base import Descriptor, Similarity, require_beams
+from rbtm_bench.similarity.base import Descriptor, PairwiseSimilarity, require_beams
 from rbtm_bench.types import Array, Scan
 
 NEGLIGIBLE_VARIANCE = 1e-9
 
 
-class CurvatureCircular(Similarity):
+class CurvatureCircular(PairwiseSimilarity):
     """Circular correlation of curvature angles over the beams that both scans have.
 
     With u_j = exp(2i phi_j) and the mean over shared beams, the score is
@@ -78,33 +79,27 @@ class CurvatureCircular(Similarity):
             return np.zeros(3 * len(u))
         return np.concatenate([u.real, u.imag, known])
 
-    def scores(self, window: Descriptor, descriptor: Descriptor) -> Array:
-        return self.pairwise(window, descriptor[None])[:, 0]
-
-    def pairwise(self, rows: Descriptor, columns: Descriptor) -> Array:
-        beams = rows.shape[1] // 3
-        best = np.full((len(rows), len(columns)), np.nan)
-        for lag in self._lags():
-            # beam b + lag of the row meets beam b of the column
-            shifted = _shift(columns, lag, beams)
-            score = self._score(rows, shifted, lag, beams)
-            best = np.fmax(best, score)
-        return best
+    def pair_scores(self, rows: Descriptor, columns: Descriptor) -> Array:
+        beams = rows.shape[-1] // 3
+        lags = self._lags()
+        # beam b + lag of the row meets beam b of the column
+        scores = (self._score(rows, _shift(columns, lag, beams), lag, beams) for lag in lags)
+        return functools.reduce(np.fmax, scores)
 
     def _score(self, rows: Descriptor, columns: Descriptor, lag: int, beams: int) -> Array:
-        a, b, m = columns[:, :beams], columns[:, beams : 2 * beams], columns[:, 2 * beams :]
-        shared = rows[:, 2 * beams :] @ m.T
-        real = rows[:, : 2 * beams] @ columns[:, : 2 * beams].T
-        imag = rows[:, : 2 * beams] @ np.concatenate([-b, a], axis=1).T
-        z = real + 1j * imag
+        a, b, m = (columns[..., k * beams : (k + 1) * beams] for k in range(3))
+        shared = np.vecdot(rows[..., 2 * beams :], m)
+        real = np.vecdot(rows[..., : 2 * beams], columns[..., : 2 * beams])
+        imag = np.vecdot(rows[..., beams : 2 * beams], a) - np.vecdot(rows[..., :beams], b)
         with np.errstate(divide="ignore", invalid="ignore"):
-            z /= shared
+            real, imag = real / shared, imag / shared
             if self.center:
-                z = _centred(z, rows, columns, shared, beams)
+                real, imag = _centred(real + 1j * imag, rows, columns, shared, beams)
         if self.lag_phase == "consistent":
-            score = np.real(np.exp(-2j * lag * (self._spacing or 0.0)) * z)
+            phase = 2.0 * lag * (self._spacing or 0.0)
+            score = np.cos(phase) * real + np.sin(phase) * imag
         else:
-            score = np.abs(z)
+            score = np.hypot(real, imag)
         enough = shared >= max(1.0, self.min_valid_share * beams)
         return np.where(enough, np.clip(score, -1.0, 1.0), np.nan)
 
@@ -131,23 +126,26 @@ def _shift(columns: Descriptor, lag: int, beams: int) -> Descriptor:
     """Each of the three parts moved up by ``lag`` beams, zeros (no return) coming in."""
     if lag == 0:
         return columns
-    parts = columns.reshape(len(columns), 3, beams)
+    parts = columns.reshape(*columns.shape[:-1], 3, beams)
     out = np.zeros_like(parts)
     if lag > 0:
-        out[:, :, lag:] = parts[:, :, :-lag]
+        out[..., lag:] = parts[..., :-lag]
     else:
-        out[:, :, :lag] = parts[:, :, -lag:]
-    return out.reshape(len(columns), 3 * beams)
+        out[..., :lag] = parts[..., -lag:]
+    return out.reshape(columns.shape)
 
 
 def _centred(
-    z: Descriptor, rows: Descriptor, columns: Descriptor, shared: Array, beams: int
-) -> Descriptor:
-    """The complex correlation coefficient from z = mean(u conj v): |u| = |v| = 1 on shared beams,
-    so each variance is 1 - |mean|^2."""
-    m_rows, m_cols = rows[:, 2 * beams :], columns[:, 2 * beams :]
-    mean_u = (rows[:, :beams] + 1j * rows[:, beams : 2 * beams]) @ m_cols.T / shared
-    mean_v = m_rows @ (columns[:, :beams] + 1j * columns[:, beams : 2 * beams]).T / shared
+    z: Array, rows: Descriptor, columns: Descriptor, shared: Array, beams: int
+) -> tuple[Array, Array]:
+    """The complex correlation coefficient (real, imaginary) from z = mean(u conj v): |u| = |v| = 1
+    on shared beams, so each variance is 1 - |mean|^2."""
+    m_rows, m_cols = rows[..., 2 * beams :], columns[..., 2 * beams :]
+    first, second = slice(0, beams), slice(beams, 2 * beams)
+    mean_u = np.vecdot(rows[..., first], m_cols) + 1j * np.vecdot(rows[..., second], m_cols)
+    mean_v = np.vecdot(m_rows, columns[..., first]) + 1j * np.vecdot(m_rows, columns[..., second])
+    mean_u, mean_v = mean_u / shared, mean_v / shared
     variance = (1.0 - np.abs(mean_u) ** 2) * (1.0 - np.abs(mean_v) ** 2)
     variance = np.where(variance > NEGLIGIBLE_VARIANCE, variance, np.nan)
-    return (z - mean_u * np.conj(mean_v)) / np.sqrt(variance)
+    centred = (z - mean_u * np.conj(mean_v)) / np.sqrt(variance)
+    return centred.real, centred.imag
