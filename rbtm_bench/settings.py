@@ -76,7 +76,7 @@ def composed(overrides: list[str]) -> DictConfig:
             raise ConfigError(f"{override.input_line}: expected the name of one {group}")
     try:
         return compose("config", overrides=overrides, return_hydra_config=True)
-    except (HydraException, OmegaConfBaseException) as error:
+    except Exception as error:  # Hydra's, OmegaConf's, or YAML's of a damaged file
         raise ConfigError(_unknown_key(error, overrides) or explain(error)) from error
 
 
@@ -99,7 +99,7 @@ def _unknown_key(error: Exception, overrides: list[str]) -> str | None:
     others = [word for word in overrides if word.split("=")[0].strip() != key]
     try:
         node: Any = compose("config", overrides=others)
-    except (HydraException, OmegaConfBaseException):
+    except Exception:  # something else is wrong as well
         return None
     *parents, last = key.split(".")
     for parent in parents:

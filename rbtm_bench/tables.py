@@ -141,9 +141,7 @@ def verdict(table: pd.DataFrame) -> list[str]:
     return lines
 
 
-def _without_registration(
-    table: pd.DataFrame, data: str, key: str, unit: str, ours: float
-) -> str:
+def _without_registration(table: pd.DataFrame, data: str, key: str, unit: str, ours: float) -> str:
     """The baseline that every registration has to beat, where the table has it."""
     rows = table[(table.data == data) & (table.backend == "none")][key].dropna()
     if rows.empty:
