@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -45,16 +45,25 @@ class Parts:
     metrics: tuple[Metric, ...]
 
 
-def run(settings: Settings, out: Path, progress: Progress | None = None) -> dict[str, Any]:
+class Bench(Protocol):
+    """Gives a run its plug-ins; ``workbench.Workbench`` shares them between runs."""
+
+    def parts(self, settings: Settings) -> Parts: ...
+
+
+def run(
+    settings: Settings, out: Path, progress: Progress | None = None, bench: Bench | None = None
+) -> dict[str, Any]:
     """Run one experiment into the folder ``out`` and return its ``run.json``.
 
+    With a ``bench`` the plug-ins answer from what earlier runs of the process have computed.
     Raises ``ConfigError``/``DataError`` before anything is written if the settings or the data
     are at fault. Once started, any failure is written to ``run.json`` with its reason and then
     raised.
     """
     refuse_existing(out, bool(settings.config["overwrite"]))
     core = pin_to_free_core() if settings.config["pin"] else None
-    parts = instantiate(settings)
+    parts = bench.parts(settings) if bench else instantiate(settings)
     record = provenance.of_run(settings, parts.dataset, core)
     make_folder(out)
     clear(out)
@@ -100,8 +109,12 @@ def instantiate(settings: Settings) -> Parts:
     dataset = build(config["dataset"])
     check_fit(settings, dataset)
     method = Method(**{g: build(config[g]) for g in PLUGIN_GROUPS if g != "dataset"})
-    metrics = tuple(build(node) for node in (config.get("metrics") or {}).values())
-    return Parts(dataset, method, metrics)
+    return Parts(dataset, method, build_metrics(config))
+
+
+def build_metrics(config: dict[str, Any]) -> tuple[Metric, ...]:
+    """The metrics of resolved settings."""
+    return tuple(build(node) for node in (config.get("metrics") or {}).values())
 
 
 def check_fit(settings: Settings, dataset: Dataset) -> None:
@@ -179,7 +192,8 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
     for metric in parts.metrics:
         values.update(metric.evaluate(estimate, reference, dataset.relations))
     write_json(out / "metrics.json", values)
-    _write_pictures(parts, estimate, float(settings.config["map_resolution"]), out)
+    if settings.config["pictures"]:
+        _write_pictures(parts, estimate, float(settings.config["map_resolution"]), out)
     return seconds
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -76,9 +78,15 @@ def to_rotation(R: Array) -> Array:
 
 def is_rigid(T: ArrayLike, tolerance: float = 1e-6) -> bool:
     """True for a finite 4x4 matrix with an orthonormal, right-handed rotation."""
+    return rigidity_error(T) <= tolerance
+
+
+def rigidity_error(T: ArrayLike) -> float:
+    """How far a 4x4 matrix is from a rigid motion: the largest deviation of R R^T from I and of
+    the last row from 0 0 0 1; infinite for another shape, NaN, infinity or a reflection."""
     M = np.asarray(T, dtype=float)
     if M.shape != (4, 4):
-        return False
+        return math.inf
     # plain floats: asked for every registration, and numpy's calls would cost more than the sums
     (a, b, c, x), (d, e, f, y), (g, h, i, z), (k, m, n, w) = M.tolist()
     off = max(
@@ -94,7 +102,9 @@ def is_rigid(T: ArrayLike, tolerance: float = 1e-6) -> bool:
         abs(w - 1.0),
     )
     determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    return bool(np.isfinite(M).all()) and off <= tolerance and determinant > 0.0
+    # max() may pass over a NaN, sums and products do not
+    sound = math.isfinite(determinant + x + y + z + k + m + n + w) and determinant > 0.0
+    return off if sound else math.inf
 
 
 def voxel_downsample(points: Array, voxel_size: float) -> Array:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,6 +46,7 @@ def odometry(scans: Iterable[Scan], method: Method) -> Iterator[Step]:
         record = StepRecord(scan.index, scan.stamp)
         prepared = _prepare(scan, method.backend, record)
         descriptor = _describe(scan, method, record)
+        record.t_guess_s = method.guess.observe(scan, prepared, method.backend)
 
         if not recent:
             edges: tuple[Edge, ...] = ()
@@ -123,13 +123,13 @@ def _register(
         try:
             with _timed(record, "t_prepare_s"):
                 target = method.target.build(candidate.model, window, method.backend)
-            with _timed(record, "t_check_s"):
-                record.registrations += 1
-                result = method.backend.register(prepared, target, T_guess)
-                why_not = method.check.reject(result, T_guess)
+            record.registrations += 1
+            started = time.perf_counter()
+            result = method.backend.register(prepared, target, T_guess)
+            why_not = method.check.reject(result, T_guess)
+            spent = time.perf_counter() - started - (0.0 if result.reused else result.seconds)
             record.t_register_s += result.seconds
-            if not result.reused:
-                record.t_check_s -= result.seconds
+            record.t_check_s += max(0.0, spent)
         except BackendError as error:
             why_not = str(error)
         if why_not is None:
@@ -157,14 +157,23 @@ def _record(record: StepRecord, candidate: Candidate, result: RegistrationResult
     record.library_fitness, record.library_rmse_m = result.library_fitness, result.library_rmse
 
 
-@contextmanager
-def _timed(record: StepRecord, stage: str, plugin: Backend | Similarity | None = None) -> Iterator[None]:
+class _timed:  # noqa: N801 (reads as a word in a with statement)
     """Add the block's wall time to a stage of the record, and what a shared answer saved."""
-    if plugin is not None:
-        plugin.saved_seconds = 0.0
-    started = time.perf_counter()
-    try:
-        yield
-    finally:
-        spent = time.perf_counter() - started + (plugin.saved_seconds if plugin else 0.0)
-        setattr(record, stage, getattr(record, stage) + spent)
+
+    __slots__ = ("_plugin", "_record", "_stage", "_started")
+
+    def __init__(
+        self, record: StepRecord, stage: str, plugin: Backend | Similarity | None = None
+    ) -> None:
+        self._record, self._stage, self._plugin = record, stage, plugin
+
+    def __enter__(self) -> None:
+        if self._plugin is not None:
+            self._plugin.saved_seconds = 0.0
+        self._started = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        spent = time.perf_counter() - self._started
+        if self._plugin is not None:
+            spent += self._plugin.saved_seconds
+        setattr(self._record, self._stage, getattr(self._record, self._stage) + spent)

@@ -53,6 +53,17 @@ def packages() -> dict[str, str | None]:
     return found
 
 
+def versions_of(requires: tuple[str, ...]) -> dict[str, str | None]:
+    """Versions of what makes a registration: a backend's packages, and what we evaluate with."""
+    found: dict[str, str | None] = {"rbtm_bench": __version__}
+    for module in ("numpy", "scipy", *requires):
+        try:
+            found[module] = version(module.replace("_", "-"))
+        except PackageNotFoundError:
+            found[module] = None
+    return found
+
+
 def git_hash() -> str | None:
     """Commit of the checkout that this package runs from, with "+" for local changes."""
     root = Path(__file__).resolve().parent.parent

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from rbtm_bench.errors import DataError, RunError
 from rbtm_bench.files import write_atomically
-from rbtm_bench.geometry import is_rigid
+from rbtm_bench.geometry import is_rigid, rigidity_error
 from rbtm_bench.types import Array, Edge
 
 Mask = NDArray[np.bool_]
@@ -26,6 +26,8 @@ Mask = NDArray[np.bool_]
 EDGE_TOLERANCE = 1e-4
 """How far from orthonormal the rotation of an edge may be: one in single precision passes."""
 
+ROUNDING = 1e-14
+"""A pose further from rigid than this is pulled back."""
 QUATERNION_TOLERANCE = 1e-3
 """How far from 1 the norm of a quaternion in a file may be; evo takes any norm in silence."""
 
@@ -77,14 +79,14 @@ class PoseChain:
         Raises ``RunError`` if the model scan has no pose, the scan has one already (others may
         follow from it), or the motion is not rigid.
         """
-        name = f"edge from model scan {edge.model} to scan {edge.scan}"
-        if edge.model not in self._poses:
-            raise RunError(f"{name}: scan {edge.model} has no pose")
+        known = self._poses.get(edge.model)
+        if known is None:
+            raise RunError(f"{_name(edge)}: scan {edge.model} has no pose")
         if edge.scan in self._poses:
-            raise RunError(f"{name}: scan {edge.scan} already has a pose")
-        if not is_rigid(edge.T_model_scan, EDGE_TOLERANCE):
-            raise RunError(f"{name}: its motion is not rigid")
-        return self._set(edge.scan, self._poses[edge.model] @ edge.T_model_scan)
+            raise RunError(f"{_name(edge)}: scan {edge.scan} already has a pose")
+        if rigidity_error(edge.T_model_scan) > EDGE_TOLERANCE:
+            raise RunError(f"{_name(edge)}: its motion is not rigid")
+        return self._set(edge.scan, known @ edge.T_model_scan)
 
     def pose(self, scan_index: int) -> Array:
         """T_world_scan (4, 4) of a scan; ``RunError`` if it has none."""
@@ -93,10 +95,15 @@ class PoseChain:
         return self._poses[scan_index]
 
     def _set(self, scan_index: int, T: Array) -> Array:
-        T = orthonormalised(T)
+        if rigidity_error(T) > ROUNDING:  # most are rigid to the last bits
+            T = orthonormalised(T)
         T.flags.writeable = False
         self._poses[scan_index] = T
         return T
+
+
+def _name(edge: Edge) -> str:
+    return f"edge from model scan {edge.model} to scan {edge.scan}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -116,6 +116,7 @@ class StepRecord:
     reused: bool | None = None
     t_prepare_s: float = 0.0
     t_describe_s: float = 0.0
+    t_guess_s: float = 0.0
     t_select_s: float = 0.0
     t_register_s: float = 0.0
     t_check_s: float = 0.0

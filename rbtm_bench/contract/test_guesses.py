@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.contract.members import Catalogue, Member
 from rbtm_bench.contract.scene import TinyClouds, rotation
 from rbtm_bench.datasets.corridor import Corridor
@@ -25,7 +26,7 @@ T_ODOM_WORLD = se2(3.0, -1.0, 0.7)
 """Odometry has a world frame of its own."""
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def guess(catalogue: Catalogue, member: Member) -> Guess:
     """The guess under test."""
     guess: Guess = catalogue.build(member)
@@ -42,7 +43,7 @@ def drive(kind: str, count: int = 6) -> list[Array]:
 
 def scan_at(index: int, T: Array, kind: str) -> Scan:
     """A scan with noise-free odometry."""
-    points = np.zeros((0, 3))
+    points = np.random.default_rng(0).random((10, 3)) * [1, 1, kind != "2d"]
     return Scan(index, 0.1 * index, points, kind == "2d", odometry=T_ODOM_WORLD @ T)
 
 
@@ -51,10 +52,35 @@ def node_at(index: int, T: Array, estimate: Array | None = None) -> Node:
     return Node(index, 0.1 * index, T if estimate is None else estimate, T_ODOM_WORLD @ T)
 
 
+class Truth(Backend):
+    """Knows the true motion between the scans of a drive."""
+
+    def __init__(self, poses: list[Array]) -> None:
+        super().__init__()
+        self.poses = poses
+
+    def build(self, points: Array, planar: bool) -> None:
+        return None
+
+    def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
+        (model, _), (scan, _) = target.key[0], source.key[0]
+        return Alignment(inverse(self.poses[model]) @ self.poses[scan])
+
+
+def show(guess: Guess, poses: list[Array], kind: str) -> None:
+    """Let a guess see the scans of a drive, as the loop does."""
+    backend = Truth(poses)
+    for i, T in enumerate(poses):
+        scan = scan_at(i, T, kind)
+        seconds = guess.observe(scan, backend.prepare(scan), backend)
+        assert seconds >= 0.0, f"observe() returned {seconds}: expected the seconds it took"
+
+
 def predictions(guess: Guess, kind: str) -> list[tuple[int, int, Array]]:
     """(model, scan, T_model_scan) for every scan and every earlier model."""
     poses = drive(kind)
     nodes = [node_at(i, T) for i, T in enumerate(poses)]
+    show(guess, poses, kind)
     found = []
     for i in range(1, len(poses)):
         recent = deque(nodes[:i], maxlen=2)
@@ -91,6 +117,7 @@ def test_noise_free_odometry_gives_the_true_motion(guess: Guess, kind: str) -> N
 def test_a_guess_is_the_caller_s_to_change(guess: Guess) -> None:
     poses = drive("3d", 3)
     nodes = [node_at(i, T) for i, T in enumerate(poses)]
+    show(guess, poses, "3d")
     new, before = scan_at(2, poses[2], "3d"), [T.tobytes() for T in poses]
     first = guess.predict(nodes[0], new, nodes[:2])
     kept = first.copy()
@@ -106,6 +133,7 @@ def test_a_pure_guess_does_not_look_at_the_trajectory(guess: Guess) -> None:
     if not guess.pure:
         pytest.skip("does not claim to be pure")
     poses = drive("3d", 4)
+    show(guess, poses, "3d")
     elsewhere = [se2(9.0, i, 2.0) @ T for i, T in enumerate(poses)]
     new = scan_at(3, poses[3], "3d")
     nodes = [node_at(i, T) for i, T in enumerate(poses)]
@@ -131,6 +159,7 @@ def test_check_asks_for_what_is_needed(guess: Guess) -> None:
         "check() passes a data set without odometry, which needs_odometry = True says it needs"
     )
     poses = drive("3d", 3)
+    show(guess, poses, "3d")
     nodes = [replace(node_at(i, T), odometry=None) for i, T in enumerate(poses)]
     T = guess.predict(nodes[0], clouds[2], nodes[:2])
     assert is_rigid(T), f"without odometry, which check() passes, the guess is\n{T}"

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.errors import ConfigError
 from rbtm_bench.geometry import inverse
@@ -19,6 +20,8 @@ class Guess(ABC):
     requires: tuple[str, ...] = ()
     pure: bool = False
     needs_odometry: bool = False
+    needs_backend: bool = False
+    """True if ``observe`` registers scans, so that the guess depends on the backend as well."""
 
     def check(self, dataset: Dataset) -> None:
         """Raise ``ConfigError`` if the data set lacks what this guess needs."""
@@ -27,6 +30,10 @@ class Guess(ABC):
                 f"guess={type(self).__name__} needs odometry, which this data set "
                 f"({type(dataset).__name__}) does not have: use guess=constant_velocity"
             )
+
+    def observe(self, scan: Scan, prepared: Prepared | None, backend: Backend) -> float:
+        """See every scan once, before its first ``predict``; returns the seconds it took."""
+        return 0.0
 
     @abstractmethod
     def predict(self, model: Node, scan: Scan, recent: Sequence[Node]) -> Array:

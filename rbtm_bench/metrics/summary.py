@@ -16,17 +16,22 @@ COLUMNS = {
     "fallbacks": "count; scans registered to the fallback; steps",
     "skipped": "count; scans left at their predicted pose by fallback=skip; steps",
     "undefined_scores": "count; similarities that were undefined (NaN); steps",
+    "reused": "share; accepted registrations that were taken from memory or the pair store; steps",
     "mean_gap": "scans; mean of scan - model over registered scans; steps",
     "mean_fitness": "share; mean fitness over registered scans; our evaluator",
-    "ms_per_scan": "ms; mean time of prepare, describe, select and register, evaluation of the "
-    "result excluded; steps",
+    "ms_per_scan": "ms; mean time of prepare, describe, guess, select and register, evaluation of "
+    "the result excluded; a shared answer counts with the time it took when it was computed; steps",
 }
 
 
 def summarise_steps(records: Sequence[StepRecord]) -> Values:
     """The keys of ``COLUMNS``; a mean over nothing is None."""
     registered = [r for r in records if r.model is not None]
-    work = [r.t_prepare_s + r.t_describe_s + r.t_select_s + r.t_register_s for r in records]
+    work = [
+        r.t_prepare_s + r.t_describe_s + r.t_guess_s + r.t_select_s + r.t_register_s
+        for r in records
+    ]
+    reused = [r.reused for r in registered if r.reused is not None]
     return {
         "coverage": len(registered) / (len(records) - 1) if len(records) > 1 else None,
         "registrations": sum(r.registrations for r in records),
@@ -34,6 +39,7 @@ def summarise_steps(records: Sequence[StepRecord]) -> Values:
         "fallbacks": sum(r.status == "fallback" for r in records),
         "skipped": sum(r.status == "skipped" for r in records),
         "undefined_scores": sum(r.undefined_scores for r in records),
+        "reused": float(np.mean(reused)) if reused else None,
         "mean_gap": float(np.mean([r.gap for r in registered])) if registered else None,
         "mean_fitness": float(np.mean([r.fitness for r in registered])) if registered else None,
         "ms_per_scan": 1e3 * float(np.mean(work)) if work else None,

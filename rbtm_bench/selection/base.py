@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -65,23 +64,22 @@ class Selector(ABC):
     def select(self, scan: int, models: NDArray[np.int64], scores: Array) -> Selection:
         """The ordered candidates, then the fallback (unless it was among them)."""
         tried = self.order(scan, models, scores)
-        chosen = [Candidate(int(models[i]), float(scores[i]), why) for i, why in tried]
+        numbers, values = models.tolist(), scores.tolist()
+        chosen = [Candidate(numbers[i], values[i], why) for i, why in tried]
         last = self._fallback(scores)
-        if last is not None and all(i != last for i, _ in tried):
-            chosen.append(
-                Candidate(int(models[last]), float(scores[last]), f"fallback {self.fallback}", True)
-            )
+        if last is not None and last not in [i for i, _ in tried]:
+            why = f"fallback {self.fallback}"
+            chosen.append(Candidate(numbers[last], values[last], why, True))
         undefined = int(np.isnan(scores).sum()) if self.needs_scores else 0
         return Selection(tuple(chosen), undefined)
 
     def _fallback(self, scores: Array) -> int | None:
         newest = len(scores) - 1
-        rules: dict[str, Callable[[], int | None]] = {
-            "previous": lambda: newest,
-            "best": lambda: newest if np.isnan(scores).all() else int(np.nanargmax(scores)),
-            "skip": lambda: None,
-        }
-        return rules[self.fallback]()
+        if self.fallback == "skip":
+            return None
+        if self.fallback == "previous" or np.isnan(scores).all():
+            return newest
+        return int(np.nanargmax(scores))
 
 
 def keyframes_or_scans(content: Content, distance: float, angle_deg: float) -> Keyframes | None:

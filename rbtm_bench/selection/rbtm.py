@@ -38,6 +38,7 @@ class Rbtm(Selector):
     ) -> None:
         super().__init__(capacity=window - 1, fallback=fallback)
         self.threshold = threshold
+        self._reason = f"S > {threshold:g}"
         self._keyframes = keyframes_or_scans(content, keyframe_distance, keyframe_angle_deg)
 
     def window(self) -> Window:
@@ -46,4 +47,4 @@ class Rbtm(Selector):
     def order(self, scan: int, models: NDArray[np.int64], scores: Array) -> list[tuple[int, str]]:
         # NaN > threshold is False: an undefined score never passes
         passing = np.flatnonzero(scores > self.threshold)
-        return [(int(i), f"S > {self.threshold:g}") for i in passing]
+        return [(i, self._reason) for i in passing.tolist()]

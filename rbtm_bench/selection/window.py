@@ -38,6 +38,7 @@ class Window:
         self.capacity = capacity
         self.keyframes = keyframes
         self.nodes: list[Node] = []
+        self._by_scan: dict[int, Node] = {}
         self._scans = np.zeros(2 * capacity, dtype=np.int64)
         self._descriptors: NDArray[Any] | None = None
         self._start = self._stop = 0
@@ -59,7 +60,10 @@ class Window:
 
     def node(self, scan: int) -> Node:
         """The member that is scan number ``scan``."""
-        return self.nodes[self.position(scan)]
+        found = self._by_scan.get(scan)
+        if found is None:
+            raise KeyError(f"scan {scan} is not in the window")
+        return found
 
     def position(self, scan: int) -> int:
         """Where in the window (0 = oldest) scan number ``scan`` is."""
@@ -73,8 +77,9 @@ class Window:
         if self.keyframes and self.nodes and not self.keyframes.is_new(self.nodes[-1], node):
             return
         self.nodes.append(node)
+        self._by_scan[node.scan] = node
         if len(self.nodes) > self.capacity:
-            del self.nodes[0]
+            del self._by_scan[self.nodes.pop(0).scan]
             self._start += 1
         self._write(node)
 

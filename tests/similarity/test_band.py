@@ -72,18 +72,30 @@ def test_scores_are_symmetric_bounded_and_1_with_oneself(similarity, beams) -> N
 
 
 def test_a_band_needs_no_more_than_a_block_at_a_time(beams) -> None:
-    """The rows that ``band`` asks for: a block and the window before it."""
-    asked: list[tuple[int, int]] = []
+    """``band`` asks for pairs block by block, and for every pair of the band exactly once."""
+    asked: list[int] = []
 
     class Counting(Curvature):
-        def pairwise(self, rows: Array, columns: Array) -> Array:
-            asked.append((len(rows), len(columns)))
-            return super().pairwise(rows, columns)
+        def pair_scores(self, rows: Array, columns: Array) -> Array:
+            asked.append(len(columns))
+            return super().pair_scores(rows, columns)
 
     descriptors = described(Curvature(), beams, 50, seed=2)
     with patch("rbtm_bench.similarity.base.BLOCK", 16):
         Counting().band(descriptors, window=10)
-    assert asked == [(16, 16), (25, 16), (25, 16), (11, 2)]
+    assert max(asked) <= 16
+    assert sum(asked) == sum(min(j, 9) for j in range(50))
+
+
+@pytest.mark.parametrize("similarity", SIMILARITIES, ids=range(len(SIMILARITIES)))
+def test_band_and_scores_are_the_same_bits(similarity, beams) -> None:
+    """A sweep takes scores from the band, a single run computes them: no bit may differ."""
+    descriptors = described(similarity, beams, 40, seed=3)
+    band = similarity.band(descriptors, window=8)
+    for j in range(1, 40):
+        past = descriptors[max(0, j - 7) : j]
+        alone = similarity.scores(past, descriptors[j])[::-1]
+        np.testing.assert_array_equal(band[j, : len(past)], alone)
 
 
 def test_a_plug_in_needs_scores_only(beams) -> None:
