@@ -7,10 +7,14 @@ import datetime
 import os
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.errors import ConfigError, RunError
-from rbtm_bench.progress import bar
+from rbtm_bench.progress import bar, run_bar
+
+if TYPE_CHECKING:
+    from rbtm_bench.settings import Settings
+    from rbtm_bench.sweeps import Asked
 
 RUN_HELP = """\
 One experiment: a data set, a backend, a selector; a folder of results and a summary.
@@ -23,6 +27,7 @@ examples
 
 The folder (out=DIR) holds config.yaml, run.json, steps.parquet (a row a scan), trajectory.tum,
 metrics.json and map.npz. An existing one is refused unless overwrite=true.
+time_limit=SECONDS ends a run that takes longer.
 rbtm-bench list shows what there is to choose; --cfg job prints the composed settings."""
 
 COMPARE_HELP = """\
@@ -35,7 +40,13 @@ examples
 
 selector=random_gap draws its gaps from the comparison's own rbtm run.
 The folder (out=DIR) holds a run folder for every point, table.csv (a row a run) and summary.csv
-(a row a method, medians over seeds)."""
+(a row a method, medians over seeds).
+
+A run that raises, kills its process or takes longer than time_limit=SECONDS (default null: no
+limit) is a row marked failed, with its reason; the others go on, and the exit code is 1. With
+--fail-fast nothing new is started after the first failure.
+
+Stopped by Ctrl-C, a crash or a reboot? rbtm-bench compare --resume DIR does what is missing."""
 
 SWEEP_HELP = """\
 Hydra's multirun: every combination of the comma lists, with Hydra's own launchers.
@@ -43,7 +54,15 @@ Hydra's multirun: every combination of the comma lists, with Hydra's own launche
 example
   rbtm-bench sweep backend=open3d_p2p,kiss_icp selector.threshold=0.6,0.7 hydra/launcher=joblib
 
-out=DIR is the folder of the sweep; its runs are DIR/0, DIR/1, ..."""
+out=DIR is the folder of the sweep; its runs are DIR/0, DIR/1, ...
+
+A run that raises, kills its process or takes longer than time_limit=SECONDS (default null: no
+limit) is a row marked failed, with its reason; the others go on, and the exit code is 1. With
+--fail-fast nothing new is started after the first failure.
+
+Stopped by Ctrl-C, a crash or a reboot? rbtm-bench sweep --resume DIR does what is missing: runs
+that are done stay as they are. It takes no settings but time_limit and Hydra's own, such as
+hydra/launcher=joblib."""
 
 
 def parse(command: str, text: str, words: list[str]) -> tuple[argparse.Namespace, list[str]]:
@@ -56,6 +75,13 @@ def parse(command: str, text: str, words: list[str]) -> tuple[argparse.Namespace
         allow_abbrev=False,
     )
     parser.add_argument("--config-dir", "-cd", action="append", default=[], metavar="DIR")
+    if command in ("compare", "sweep"):
+        parser.add_argument(
+            "--resume", metavar="DIR", help="do what is missing of what was asked for in DIR"
+        )
+        parser.add_argument(
+            "--fail-fast", action="store_true", help="start nothing new after the first failure"
+        )
     if command == "compare":
         parser.add_argument(
             "--jobs",
@@ -77,17 +103,35 @@ def parse(command: str, text: str, words: list[str]) -> tuple[argparse.Namespace
 
 def run(words: list[str]) -> int:
     """``rbtm-bench run``."""
+    options, overrides = parse("run", RUN_HELP, words)
+    pin_unless_lifted(overrides)  # first of all: numpy sizes its thread pool when it is imported
     from rbtm_bench import experiment, summary
     from rbtm_bench.settings import compose_settings
 
-    options, overrides = parse("run", RUN_HELP, words)
-    pin_unless_lifted(overrides)
     settings = compose_settings(overrides, tuple(map(Path, options.config_dir)))
     out = Path(settings.config["out"] or default_folder("runs", settings.choices))
     with bar("scans") as progress:
-        experiment.run(settings, out, progress.update_to)
+        if settings.config["time_limit"] is None:
+            experiment.run(settings, out, progress.update_to)
+        else:
+            _run_supervised(settings, out, progress.update_to)
     print(summary.of_run(out))
     return 0
+
+
+def _run_supervised(settings: Settings, out: Path, progress: Any) -> None:
+    """A run that a time limit may end. Raises ``RunError`` if it fails."""
+    from rbtm_bench import comparison, experiment
+    from rbtm_bench.grid import Point
+    from rbtm_bench.worker import Supervisor
+
+    experiment.refuse_existing(out, bool(settings.config["overwrite"]))
+    with Supervisor() as supervisor:
+        supervisor.call(comparison.check_data, [Point("run", settings)], pin=settings.config["pin"])
+        limit = settings.config["time_limit"]
+        record = supervisor.run(out.name, settings, out, limit, progress)
+    if record["status"] != "done":
+        raise RunError(str(record["reason"]))
 
 
 def pin_unless_lifted(overrides: list[str]) -> None:
@@ -100,65 +144,123 @@ def pin_unless_lifted(overrides: list[str]) -> None:
 
 def compare(words: list[str]) -> int:
     """``rbtm-bench compare``."""
-    from rbtm_bench import comparison, summary
-    from rbtm_bench.experiment import refuse_existing
-    from rbtm_bench.files import make_folder
-    from rbtm_bench.grid import make_points
+    from rbtm_bench import cli_session, comparison
 
     options, overrides = parse("compare", COMPARE_HELP, words)
     jobs = options.jobs if options.jobs is not None else comparison.default_jobs()
     if jobs < 1:
         raise ConfigError(f"--jobs {jobs}: expected at least 1")
-    if jobs == 1:
-        pin_unless_lifted(overrides)
-    points, notes = make_points(overrides, tuple(map(Path, options.config_dir)))
-    out = Path(points[0].settings.config["out"] or default_folder("compare"))
-    refuse_existing(out, bool(points[0].settings.config["overwrite"]))
+    with cli_session.asked("compare", words, options, overrides) as (asked, out):
+        return _compare(asked, out, jobs)
+
+
+def _compare(asked: Asked, resumed: Path | None, jobs: int) -> int:
+    """A comparison, or with a folder to resume the rest of it."""
+    from rbtm_bench import cli_session, comparison, sweeps
+    from rbtm_bench.grid import make_points
+
+    points, notes = make_points(asked.overrides, tuple(map(Path, asked.config_dirs)))
+    config = points[0].settings.config
+    out = resumed or Path(config["out"] or default_folder("compare"))
+    if not resumed:
+        refuse_to_overwrite(out, config)
     for note in notes:
         print(note, file=sys.stderr)
-    comparison.check_data(points)
-    make_folder(out)
-    failed: list[str] = []
-    with bar("runs", len(points)) as progress:
+    folders = [out / point.name for point in points]
+    with comparison.make_crew(jobs, asked.command) as crew:
+        crew[0].call(comparison.check_data, points, pin=config["pin"])
+        with cli_session.claimed(asked, out):
+            rest = [p for p in points if not resumed or not _is_finished(p, out)]
+            sweeps.clear(out / point.name for point in rest)
+            failed: list[str] = []
+            with run_bar(len(points), len(points) - len(rest)) as progress:
 
-        def done(name: str, record: dict[str, Any]) -> None:
-            if record["status"] != "done":
-                failed.append(f"{name}: {record['reason']}")
-            progress.step(f"{len(failed)} failed" if failed else "")
+                def done(name: str, record: dict[str, Any]) -> None:
+                    if record["status"] != "done":
+                        failed.append(f"{name}: {record['reason']}")
+                    progress.ended(name, record["status"] == "done")
 
-        comparison.run_points(points, out, jobs, done)
-    print(summary.of_runs(out, [out / point.name for point in points]))
-    return _report_failures(failed, len(points))
+                left = comparison.run_points(
+                    rest, out, jobs, done, fail_fast=asked.fail_fast, part=progress.part, crew=crew
+                )
+    return cli_session.finish(out, folders, failed, left, len(points) - len(rest))
+
+
+def _is_finished(point: Any, out: Path) -> bool:
+    from rbtm_bench import comparison, sweeps
+
+    return sweeps.is_finished(out / point.name, comparison.placed(point, out))
+
+
+def refuse_to_overwrite(out: Path, config: dict[str, Any]) -> None:
+    """Raise ``ConfigError`` if the folder holds anything and may not be overwritten."""
+    from rbtm_bench.experiment import refuse_existing
+
+    refuse_existing(out, bool(config["overwrite"]))
 
 
 def sweep(words: list[str]) -> int:
-    """``rbtm-bench sweep``: Hydra's multirun over ``experiment.run``."""
-    from rbtm_bench import comparison, summary
-    from rbtm_bench.experiment import refuse_existing
-    from rbtm_bench.grid import Point, check_values
+    """``rbtm-bench sweep``: Hydra's multirun over supervised runs."""
+    from rbtm_bench import cli_session
 
     options, overrides = parse("sweep", SWEEP_HELP, words)
-    out = Path(default_folder("sweeps"))
+    if options.resume is not None:
+        with cli_session.asked("sweep", words, options, overrides) as (asked, folder):
+            return _sweep(asked, folder, resumed=True)
+    out = None
     kept = []
     for word in overrides:
         if word.partition("=")[0] == "out":
-            out = _one_folder(word) or out
+            out = _one_folder(word)
         else:
             kept.append(word)
-    launchers = [word for word in kept if word.startswith("hydra/launcher=")]
-    if launchers in ([], ["hydra/launcher=basic"]):
-        pin_unless_lifted(kept)  # the jobs run in this very process
-    first = check_values(kept, tuple(map(Path, options.config_dir)))
-    refuse_existing(out, bool(first.config["overwrite"]))
-    comparison.check_data([Point("first", first)])
-    flags = [part for folder in options.config_dir for part in ("--config-dir", folder)]
-    folder = str(out).replace("'", "\\'")
-    hydra_main([*flags, "--multirun", f"hydra.sweep.dir='{folder}'", *kept], sweep_job)
-    runs = sorted((p.parent for p in out.glob("*/run.json")), key=_by_number)
-    if not runs:
-        raise RunError(f"{out}: the sweep left no run")
-    print(summary.of_runs(out, runs))
-    return _report_failures(summary.failures(runs), len(runs))
+    with cli_session.asked("sweep", words, options, kept) as (asked, _):
+        return _sweep(asked, out, resumed=False)
+
+
+def _sweep(asked: Asked, out: Path | None, resumed: bool) -> int:
+    """A sweep, or the rest of it."""
+    from rbtm_bench import cli_session, jobs, sweeps
+
+    plan = jobs.Plan.of(asked.overrides, tuple(map(Path, asked.config_dirs)))
+    config = plan.settings[0].config
+    out = out or Path(default_folder("sweeps"))
+    if not resumed:
+        refuse_to_overwrite(out, config)
+    plan.check_data(asked)
+    with cli_session.claimed(asked, out):
+        whole = [p for p in sweeps.run_folders(out) if resumed and sweeps.is_whole(p)]
+        sweeps.clear(p for p in sweeps.run_folders(out) if p not in whole)
+        reused = {folder.name for folder in whole}
+        total = len(plan.jobs) if plan.jobs is not None else None
+        with (
+            run_bar(total, len(reused)) as progress,
+            jobs.watched(out, reused, progress, plan.one_process),
+        ):
+            broken = _launch(plan.words, out)
+    folders = sweeps.run_folders(out)
+    failed = sweeps.failures(folders)
+    left = plan.left(folders)
+    if broken:
+        print(f"rbtm-bench: the launcher gave up: {broken}", file=sys.stderr)
+        print(f"go on with: {sweeps.resume_command('sweep', out)}", file=sys.stderr)
+    code = cli_session.finish(out, folders, failed, left, len(reused))
+    return max(code, 1 if broken else 0)
+
+
+def _launch(words: list[str], out: Path) -> str | None:
+    """Let Hydra launch the jobs; what its launcher ended by, if it did not get through."""
+    from rbtm_bench.errors import RbtmBenchError
+    from rbtm_bench.experiment import reason
+
+    folder = str(out.resolve()).replace("'", "\\'")  # workers may be at home elsewhere
+    try:
+        hydra_main(["--multirun", f"hydra.sweep.dir='{folder}'", *words], sweep_job)
+    except RbtmBenchError:
+        raise
+    except Exception as error:  # a worker that was killed, a disk that is full
+        return reason(error)
+    return None
 
 
 def _one_folder(word: str) -> Path | None:
@@ -200,28 +302,10 @@ def hydra_main(words: list[str], task: Any) -> None:
 
 
 def sweep_job(cfg: Any) -> None:
-    """One job of a sweep, in whatever process the launcher runs it; never raises."""
-    from hydra.core.hydra_config import HydraConfig
-    from omegaconf import OmegaConf, open_dict
+    """One job of a sweep, in whatever process the launcher runs it."""
+    from rbtm_bench import jobs
 
-    from rbtm_bench import comparison, experiment
-    from rbtm_bench.settings import Settings, from_hydra
-
-    hydra_cfg = HydraConfig.get()
-    out = Path(hydra_cfg.runtime.output_dir)
-    full = cfg.copy()
-    with open_dict(full):
-        full.hydra = hydra_cfg
-    words = tuple(hydra_cfg.overrides.task)
-    try:
-        settings = from_hydra(full, words)
-    except ConfigError as error:
-        plain = OmegaConf.to_container(cfg, resolve=False)
-        choices = {str(k): str(v) for k, v in hydra_cfg.runtime.choices.items()}
-        assert isinstance(plain, dict)
-        experiment.fail(Settings({str(k): v for k, v in plain.items()}, choices, words), out, error)
-        return
-    comparison.run_one(out.name, settings, out)
+    jobs.run_job(cfg)
 
 
 def default_folder(kind: str, choices: dict[str, str] | None = None) -> str:
@@ -233,18 +317,3 @@ def default_folder(kind: str, choices: dict[str, str] | None = None) -> str:
     while Path(folder).exists():
         folder, count = f"{stem}-{count}", count + 1
     return folder
-
-
-def _by_number(path: Path) -> tuple[int, str]:
-    return (int(path.name) if path.name.isdigit() else 0, path.name)
-
-
-def _report_failures(failed: list[str], total: int) -> int:
-    if not failed:
-        return 0
-    print(f"{len(failed)} of {total} runs failed:", file=sys.stderr)
-    for line in failed[:10]:
-        print(f"  {line}", file=sys.stderr)
-    if len(failed) > 10:
-        print(f"  ... and {len(failed) - 10} more", file=sys.stderr)
-    return 1

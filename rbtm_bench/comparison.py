@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
+import queue
+import threading
+import traceback
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rbtm_bench import experiment
-from rbtm_bench.errors import RunError
+from rbtm_bench import experiment, provenance, sweeps
+from rbtm_bench.errors import RbtmBenchError
+from rbtm_bench.files import write_json
 from rbtm_bench.grid import Point
-
-Tasks = dict[str, tuple[Any, Path]]
-"""A point's name -> its settings and its folder."""
+from rbtm_bench.settings import Settings
+from rbtm_bench.worker import Supervisor
 
 Done = Callable[[str, dict[str, Any]], None]
 """Called with a point's name and its ``run.json`` whenever a run has ended."""
+
+Part = Callable[[str, int, int], None]
+"""Called with a point's name, its scans done and its scans in all; from any thread."""
 
 
 def check_data(points: Sequence[Point]) -> None:
@@ -41,22 +48,90 @@ def check_data(points: Sequence[Point]) -> None:
             experiment.check_fit(point.settings, opened[key])
 
 
-def run_points(points: Sequence[Point], out: Path, jobs: int, done: Done) -> None:
-    """Run the points into folders below ``out``, ``jobs`` at a time.
+@contextlib.contextmanager
+def make_crew(jobs: int, argv: Sequence[str] | None = None) -> Iterator[list[Supervisor]]:
+    """``jobs`` supervisors, closed side by side at the end; killed if an exception passes."""
+    crew = [Supervisor(argv=argv) for _ in range(jobs)]
+    try:
+        yield crew
+    except BaseException:
+        for supervisor in crew:
+            supervisor.kill()
+        raise
+    finally:
+        with ThreadPoolExecutor(jobs) as threads:
+            list(threads.map(Supervisor.close, crew))
 
-    Points that draw another run's gaps follow when all others have ended. If a worker process
-    dies, the runs that had not ended start again, each in a process of its own, so that only
-    the deadly one fails. With one job everything runs in this very process.
+
+def run_points(
+    points: Sequence[Point],
+    out: Path,
+    jobs: int,
+    done: Done,
+    *,
+    fail_fast: bool = False,
+    part: Part | None = None,
+    crew: Sequence[Supervisor] | None = None,
+) -> list[str]:
+    """Run the points into folders below ``out``, ``jobs`` at a time, each in a child process.
+
+    Points that draw another run's gaps follow when all others have ended. With ``fail_fast``
+    none is started after the first failure; returns the names of those that were not. ``crew``
+    are supervisors to use, which may have children already.
     """
+    if crew is None:
+        with make_crew(jobs) as own:
+            return run_points(points, out, jobs, done, fail_fast=fail_fast, part=part, crew=own)
+    stop = threading.Event()
+    left: list[str] = []
+    idle: queue.LifoQueue[Supervisor] = queue.LifoQueue()  # the warmest first
+    for supervisor in reversed(crew):
+        idle.put(supervisor)
+
+    def work(point: Point) -> tuple[str, dict[str, Any] | None]:
+        if stop.is_set():
+            return point.name, None
+        supervisor = idle.get()
+        try:
+            record = _supervised(supervisor, point, out, part)
+        finally:
+            idle.put(supervisor)
+        if fail_fast and record["status"] != "done":
+            stop.set()
+        return point.name, record
+
     for late in (False, True):
         batch = [point for point in points if (point.gaps_of is not None) is late]
-        tasks = {point.name: (_placed(point, out), out / point.name) for point in batch}
-        for name, record in _results(tasks, jobs):
-            del tasks[name]
-            done(name, record)
-        with ThreadPoolExecutor(jobs) as threads:
-            for name, record in threads.map(run_alone, tasks, *zip(*tasks.values(), strict=True)):
-                done(name, record)
+        with _threads(crew) as threads:
+            for future in as_completed([threads.submit(work, point) for point in batch]):
+                name, record = future.result()
+                if record is None:
+                    left.append(name)
+                else:
+                    done(name, record)
+    return left
+
+
+@contextlib.contextmanager
+def _threads(crew: Sequence[Supervisor]) -> Iterator[ThreadPoolExecutor]:
+    """A thread for every supervisor; an exception (Ctrl-C) kills the children, and so ends them."""
+    with ThreadPoolExecutor(len(crew)) as threads:
+        try:
+            yield threads
+        except BaseException:
+            threads.shutdown(wait=False, cancel_futures=True)
+            for supervisor in crew:
+                supervisor.kill()
+            raise
+
+
+def _supervised(
+    supervisor: Supervisor, point: Point, out: Path, part: Part | None
+) -> dict[str, Any]:
+    settings = placed(point, out)
+    progress = functools.partial(part, point.name) if part else None
+    limit = settings.config.get("time_limit")
+    return supervisor.run(point.name, settings, out / point.name, limit, progress)
 
 
 def default_jobs() -> int:
@@ -66,7 +141,7 @@ def default_jobs() -> int:
     return os.cpu_count() or 1
 
 
-def _placed(point: Point, out: Path) -> Any:
+def placed(point: Point, out: Path) -> Settings:
     """The point's settings with the folder of its gaps filled in, free to write into ``out``."""
     config = {**point.settings.config, "overwrite": True}
     if point.gaps_of is not None:
@@ -74,42 +149,44 @@ def _placed(point: Point, out: Path) -> Any:
     return replace(point.settings, config=config)
 
 
-def _results(tasks: Tasks, jobs: int) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Names and records as runs end; stops early if a worker dies, without its whole batch."""
-    if jobs == 1:
-        for name, task in list(tasks.items()):
-            yield run_one(name, *task)
-        return
-    from joblib import Parallel, delayed
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    work = [delayed(run_one)(name, *task) for name, task in tasks.items()]
-    parallel = Parallel(n_jobs=jobs, return_as="generator_unordered", batch_size=1)
-    with contextlib.suppress(TerminatedWorkerError):
-        yield from parallel(work)
-
-
-def run_one(name: str, settings: Any, out: Path) -> tuple[str, dict[str, Any]]:
+def run_one(
+    name: str, settings: Settings, out: Path, progress: experiment.Progress | None = None
+) -> tuple[str, dict[str, Any]]:
     """One run that never raises: whatever goes wrong becomes its status and reason."""
     try:
         experiment.refuse_existing(out, bool(settings.config["overwrite"]))
         experiment.clear(out)  # an earlier run's files must not stand for a run that never starts
-        return name, experiment.run(settings, out)
-    except Exception as error:
-        if not (out / "run.json").exists():
-            experiment.fail(settings, out, error)
+    except (OSError, RbtmBenchError) as error:
         return name, {"status": "failed", "reason": experiment.reason(error)}
+    try:
+        return name, experiment.run(settings, out, progress)
+    except (Exception, SystemExit) as error:
+        return name, ended_by(error, settings, out, traceback.format_exc())
 
 
-def run_alone(name: str, settings: Any, out: Path) -> tuple[str, dict[str, Any]]:
-    """``run_one`` in a process of its own; the death of that process is a failed run."""
-    from joblib.externals.loky import ProcessPoolExecutor
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
+def ended_by(
+    error: BaseException, settings: Settings, out: Path, trace: str = ""
+) -> dict[str, Any]:
+    """Leave a run that ended by an error as a failed one; returns its run.json.
 
-    with ProcessPoolExecutor(max_workers=1) as process:
-        try:
-            return process.submit(run_one, name, settings, out).result()
-        except TerminatedWorkerError:
-            error = RunError("the worker process died")
+    Where even that cannot be written the run's own files make room; the answer says why anyway.
+    """
+    sweeps.clear_partial(out)
+    record = sweeps.stored(out)
+    if record.get("status") in ("failed", "done"):  # it has said so itself
+        return record
+    ending = {
+        "status": "failed",
+        "reason": experiment.reason(error),
+        "finished": provenance.now(),
+        "traceback": trace,
+    }
+    try:
+        if record:
+            write_json(out / "run.json", {**record, **ending})
+        else:
             experiment.fail(settings, out, error)
-            return name, {"status": "failed", "reason": str(error)}
+    except (OSError, RbtmBenchError):
+        with contextlib.suppress(OSError, RbtmBenchError):
+            experiment.fail(settings, out, error)
+    return {**record, **ending}

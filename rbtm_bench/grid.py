@@ -32,7 +32,7 @@ from rbtm_bench.settings import (
     suggestion,
 )
 
-IGNORED_IN_COMPARISON = ("out", "overwrite", "pin")
+IGNORED_IN_COMPARISON = ("out", "overwrite", "pin", "time_limit")
 
 LONGEST_NAME = 120
 """Characters of a point's name, which is a folder's: file systems take 255 bytes."""
@@ -82,6 +82,15 @@ def check_values(words: list[str], extra_dirs: tuple[Path, ...] = ()) -> Setting
 
     Returns the sweep's first point. Raises ``ConfigError`` before anything has run.
     """
+    return values_beside_first(words, extra_dirs)[0]
+
+
+def values_beside_first(words: list[str], extra_dirs: tuple[Path, ...] = ()) -> list[Settings]:
+    """A sweep's first point, and those that differ from it in one value: every value is among
+    them, at the cost of the lists' sum, not of their product.
+
+    Raises ``ConfigError`` for any value that is wrong.
+    """
     with composing(extra_dirs):
         overrides = parsed([word for word in words if not word.startswith("hydra")])
         lists = [
@@ -91,11 +100,12 @@ def check_values(words: list[str], extra_dirs: tuple[Path, ...] = ()) -> Setting
             for o in overrides
         ]
     first = [values[0] for values in lists]
-    settings = compose_settings(first, extra_dirs)
+    found = [compose_settings(first, extra_dirs)]
     for position, values in enumerate(lists):
         for value in values[1:]:
-            compose_settings([*first[:position], value, *first[position + 1 :]], extra_dirs)
-    return settings
+            one = [*first[:position], value, *first[position + 1 :]]
+            found.append(compose_settings(one, extra_dirs))
+    return found
 
 
 def _sort_overrides(

@@ -36,7 +36,9 @@ SHARED = (
     ("seed", Annotated[int, Ge(0)]),
     ("out", str | None),
     ("overwrite", bool),
+    ("pictures", bool),
     ("pin", bool),
+    ("time_limit", Annotated[float, Gt(0)] | None),
     ("map_resolution", Annotated[float, Gt(0)]),
 )
 """The settings outside every group, with their types."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.errors import ConfigError
@@ -48,7 +49,30 @@ SHORT = (
 )
 """The columns of the table at the end of ``compare``."""
 
-ALWAYS = ("backend", "selector")
+BEST = (
+    "data",
+    "backend",
+    "selector",
+    "window",
+    "threshold",
+    "settings",
+    "seeds",
+    "status",
+    "coverage",
+)
+"""The columns of the table of best settings, before the errors, ms_per_scan and tried."""
+
+TOLD = 4
+"""Names or sentences of a kind at most, so that a screen holds all."""
+
+ALWAYS = ("backend", "selector", "tried")
+
+SECOND = {
+    "relations_translation_mean_m": ("relations_rotation_mean_deg",),
+    "final_translation_error_mm": ("ape_rmse_m", "final_rotation_error_deg"),
+    "ape_rmse_m": ("rpe_translation_rmse_m",),
+}
+"""What stands beside an error in the table of best settings: the first of these that is there."""
 
 
 def render(table: pd.DataFrame, fmt: str) -> str:
@@ -95,14 +119,127 @@ def existing_columns(table: pd.DataFrame, names: str) -> list[str]:
     return wanted
 
 
-def screen(table: pd.DataFrame) -> tuple[pd.DataFrame, str]:
-    """The columns that fit a screen, and in words those that are the same in every row."""
-    shown = table[[c for c in SHORT if c in table]]
+def screen(
+    table: pd.DataFrame, columns: Sequence[str] = SHORT, keep: Sequence[str] = ALWAYS
+) -> tuple[pd.DataFrame, str]:
+    """The columns that fit a screen, and in words those that are the same in every row (unless
+    they are to be kept)."""
+    shown = table[[c for c in columns if c in table]]
     if len(table) < 2:
         return shown, ""
-    same = [c for c in shown if c not in ALWAYS and len({_word(v) for v in shown[c]}) == 1]
+    same = [c for c in shown if c not in keep and len({_word(v) for v in shown[c]}) == 1]
     words = [f"{c} {_word(shown[c].iloc[0])}" for c in same if _word(shown[c].iloc[0])]
     return shown.drop(columns=same), ", ".join(words)
+
+
+def main_error(table: pd.DataFrame) -> tuple[str, str, str] | None:
+    """Key, unit and name of the first of ``ERRORS`` that a row has."""
+    return next((e for e in ERRORS if e[0] in table and table[e[0]].notna().any()), None)
+
+
+def best(table: pd.DataFrame) -> pd.DataFrame:
+    """The best setting of every data set, backend and selector, within a backend by error.
+
+    ``table`` has a row a method (medians over seeds). ``tried`` counts the settings that a row is
+    the best of: all that were allowed, failed ones too; ``equal`` those with the very same error,
+    of which the one with the smallest window, then threshold, stands for all. Where none has an
+    error, there is no best: the row names no setting.
+    """
+    import pandas as pd
+
+    rows: list[dict[str, Any]] = []
+    for _, here in table.groupby("data", sort=False, dropna=False):
+        found = main_error(here)
+        for _, methods in here.groupby("backend", sort=False, dropna=False):
+            groups = [g for _, g in methods.groupby("selector", sort=False, dropna=False)]
+            chosen = [_best_of(group, found[0] if found else None) for group in groups]
+            if found:
+                chosen.sort(key=lambda r: math.inf if _is_empty(r[found[0]]) else r[found[0]])
+            rows += chosen
+    return pd.DataFrame(rows)
+
+
+def _best_of(settings: pd.DataFrame, key: str | None) -> dict[str, Any]:
+    """The winner of one selector's settings, and how many there were."""
+    tried = len(settings)
+    won = _winner(settings, key) if key else None
+    if won is not None or tried == 1:
+        row = (settings.iloc[0] if won is None else won).to_dict()
+        equal = 1 if won is None else int((settings[key] == won[key]).sum())
+        return {**row, "tried": tried, "equal": equal}
+    row = dict.fromkeys(settings)
+    row.update({k: settings[k].iloc[0] for k in ("dataset", "data", "backend", "selector")})
+    statuses = set(settings["status"])
+    row["status"] = statuses.pop() if len(statuses) == 1 else "failed"
+    return {**row, "tried": tried, "equal": 1}
+
+
+def _winner(rows: pd.DataFrame, key: str) -> pd.Series[Any] | None:
+    """The row with the smallest error, None if none has one. A setting of which a run failed
+    wins only where that holds for all: its median is over fewer seeds."""
+    known = rows.dropna(subset=[key])
+    whole = known[known["status"] == "done"]
+    known = known if whole.empty else whole
+    if known.empty:
+        return None
+    order = [key, *(name for name in ("window", "threshold") if name in known)]
+    return known.loc[known[order].astype(float).sort_values(order, kind="stable").index[0]]
+
+
+def best_columns(table: pd.DataFrame) -> tuple[list[str], list[str]]:
+    """The columns to show of a table of best settings; of these the main errors."""
+    main: dict[str, None] = {}
+    second: dict[str, None] = {}
+    for _, here in table.groupby("data", sort=False, dropna=False):
+        found = main_error(here)
+        if found:
+            main[found[0]] = None
+            there = [k for k in SECOND[found[0]] if k in here and here[k].notna().any()]
+            second.update(dict.fromkeys(there[:1]))
+    errors = [*main, *(key for key in second if key not in main)]
+    names = [*BEST, *errors, "ms_per_scan", "tried"]
+    return [name for name in names if name in table], list(main)
+
+
+def chances(best: pd.DataFrame) -> list[str]:
+    """What must be said beside a table of best settings: best of how many, on which data."""
+    if best.empty or best["tried"].max() == 1:
+        return []
+    lines = ["best of several was chosen on the very data shown: confirm it on other data or seeds"]
+    if best["equal"].max() > 1:
+        lines.append("of settings with the same error the one with the smallest window is shown")
+    places: dict[tuple[tuple[str, int], ...], list[str]] = {}
+    many = best["data"].nunique() > 1
+    for (data, backend), rows in best.groupby(["data", "backend"], sort=False, dropna=False):
+        tries = [(str(s), int(n)) for s, n in zip(rows["selector"], rows["tried"], strict=True)]
+        where = f"{data}, {backend}" if many else str(backend)
+        places.setdefault(tuple(sorted(tries, key=lambda t: (-t[1], t[0]))), []).append(where)
+    if best["tried"].nunique() == 1:
+        return [*lines, f"every method had {best['tried'].iloc[0]} settings to choose from"]
+    for numbers, names in list(places.items())[:TOLD]:
+        prefix = f"{_listed(names)}: " if len(places) > 1 else ""
+        lines.append(f"{prefix}{_tries(numbers)}: not an equal chance")
+    more = len(places) - TOLD
+    return [*lines, f"and {more} more such: see the column tried"] if more > 0 else lines
+
+
+def _tries(tries: Sequence[tuple[str, int]]) -> str:
+    """ "rbtm had 70 settings to choose from, keyframe and previous 1 each"."""
+    counts: dict[int, list[str]] = {}
+    for selector, number in tries:
+        counts.setdefault(number, []).append(selector)
+    parts = [f"{_listed(names)} {n}{' each' * (len(names) > 1)}" for n, names in counts.items()]
+    number, first = next(iter(counts.items()))
+    each = " each" if len(first) > 1 else ""
+    settings = "setting" if number == 1 else "settings"
+    return ", ".join([f"{_listed(first)} had {number} {settings}{each} to choose from", *parts[1:]])
+
+
+def _listed(names: Sequence[str]) -> str:
+    """ "a, b and c"; of many the first ones."""
+    if len(names) > TOLD:
+        names = [*names[: TOLD - 1], f"{len(names) - TOLD + 1} more"]
+    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
 def verdict(table: pd.DataFrame) -> list[str]:
@@ -114,15 +251,15 @@ def verdict(table: pd.DataFrame) -> list[str]:
     lines: list[str] = []
     for (data, backend), methods in table.groupby(["data", "backend"], sort=False):
         here = table[table.data == data]
-        usable = [c for c in ERRORS if c[0] in table and here[c[0]].notna().any()]
-        if not usable:
+        found = main_error(here)
+        if found is None:
             continue
-        key, unit, name = usable[0]
+        key, unit, name = found
         rows = methods.dropna(subset=[key]).astype({key: float})
         ours, controls = rows[rows.selector == "rbtm"], rows[rows.selector != "rbtm"]
-        if ours.empty or controls.empty or backend == "none":
+        best, rival = _winner(ours, key), _winner(controls, key)
+        if best is None or rival is None or backend == "none":
             continue
-        best, rival = ours.loc[ours[key].idxmin()], controls.loc[controls[key].idxmin()]
         line = (
             f"{data}, {backend}: {name} of {_label(best)} is {_figure(best[key])} {unit}, "
             f"of the best control, {_label(rival)}, {_figure(rival[key])} {unit}: "
@@ -133,7 +270,7 @@ def verdict(table: pd.DataFrame) -> list[str]:
             value = float(previous[key].min())
             line += f"; previous {_figure(value)} {unit}, {_relation(float(best[key]), value)}"
         line += _without_registration(table, str(data), key, unit, float(best[key]))
-        tries = rows.groupby("selector", sort=False).size()
+        tries = methods.groupby("selector", sort=False).size()
         if tries.max() > 1:
             line += ". Best of " + ", ".join(f"{n} x {s}" for s, n in tries.items())
             line += " settings, chosen on this very data"

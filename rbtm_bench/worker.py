@@ -63,7 +63,7 @@ class ChildError(RunError):
     trace = ""
 
 
-class Stopped(RunError):
+class StoppedError(RunError):
     """Nobody wants the answer any more; the child was killed."""
 
 
@@ -112,7 +112,7 @@ class Child:
         return child
 
     def receive(self, deadline: float | None = None, wanted: Wanted | None = None) -> Any:
-        """The child's next message. Raises ``TimeoutError``, ``ChildError`` or ``Stopped``."""
+        """The child's next message. Raises ``TimeoutError``, ``ChildError`` or ``StoppedError``."""
         while True:
             left = POLL_S if deadline is None else min(POLL_S, deadline - time.monotonic())
             try:
@@ -126,7 +126,7 @@ class Child:
             if deadline is not None and time.monotonic() >= deadline:
                 raise TimeoutError
             if wanted is not None and not wanted():
-                raise Stopped("nobody waits for this run any more")
+                raise StoppedError("nobody waits for this run any more")
 
     def _exited(self) -> bool:
         """True if the process has ended. It stays a zombie: nobody else gets its number."""
@@ -194,7 +194,7 @@ class Supervisor:
     ) -> dict[str, Any]:
         """One run in the child; returns its ``run.json`` whatever happens to the child.
 
-        The ``time_limit``, in s, counts from when the child begins. Raises ``Stopped`` when
+        The ``time_limit``, in s, counts from when the child begins. Raises ``StoppedError`` when
         ``wanted`` turns false or ``kill`` is called: the run then stays "started".
         """
         from rbtm_bench.comparison import ended_by, run_one
@@ -232,7 +232,7 @@ class Supervisor:
         except BaseException as error:
             self._drop()
             if self._stopped and isinstance(error, ChildError):
-                raise Stopped("stopped") from None
+                raise StoppedError("stopped") from None
             raise
         kind, answer = message
         if kind == "raised":
@@ -260,7 +260,7 @@ class Supervisor:
         if self._child is None:
             self._child = Child.start(pin, self._cwd)
         if self._stopped:
-            raise Stopped("stopped")
+            raise StoppedError("stopped")
         return self._child
 
     def _drop(self) -> None:

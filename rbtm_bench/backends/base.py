@@ -7,6 +7,7 @@ result. A plug-in writes ``build`` and ``align``.
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -173,8 +174,10 @@ def evaluate(
     the share of inliers among source points (as in Open3D's ``evaluate_registration``).
     """
     moved = transform(T_target_source, source.points)
-    planar = target.planar
-    distance, _ = target.tree.query(moved[:, :2] if planar else moved, distance_upper_bound=radius)
-    inlier = distance[np.isfinite(distance)]
-    rmse = float(np.sqrt(np.mean(inlier**2))) if len(inlier) else float("nan")
-    return len(inlier) / len(moved), rmse, len(inlier)
+    if target.planar:
+        moved = np.ascontiguousarray(moved[:, :2])
+    distance, _ = target.tree.query(moved, distance_upper_bound=radius)  # inf beyond the radius
+    inlier = distance[distance < np.inf]
+    count = len(inlier)
+    rmse = math.sqrt(np.dot(inlier, inlier) / count) if count else math.nan
+    return count / len(moved), rmse, count

@@ -16,7 +16,7 @@ from rbtm_bench.datasets.carmen_log import (
     parse_log,
     parse_relations,
 )
-from rbtm_bench.datasets.files import read_bytes
+from rbtm_bench.datasets.files import read_bytes, unpacked_lines
 from rbtm_bench.errors import ConfigError, DataError
 from rbtm_bench.geometry import inverse
 from rbtm_bench.types import Array, Scan
@@ -83,8 +83,8 @@ class Carmen(Dataset):
         order: Literal["file", "time"] = "file",
         on_error: Literal["raise", "skip"] = "raise",
     ) -> None:
-        content = read_bytes(path)
-        log = parse_log(path, content, on_error)
+        content = hashlib.sha256()
+        log = parse_log(path, unpacked_lines(path, content), on_error)
         self.skipped = log.skipped
         self.corrected = is_corrected(log) if corrected == "auto" else corrected
         odometry, ground_truth = _poses(path, log, self.corrected)
@@ -107,10 +107,9 @@ class Carmen(Dataset):
         kept = kept[:max_scans]
 
         self.max_range = no_return_limit(log) if max_range is None else float(max_range)
-        returned = (log.ranges > min_range) & (log.ranges < self.max_range)
-        log.ranges[~returned] = np.nan
-        self.ranges = log.ranges[kept]
-        beams = log.ranges.shape[1]
+        self._min_range = min_range
+        self._ranges, self._kept = log.ranges, kept
+        beams = log.ranges.beams
         first, spacing = BEAM_ANGLES_DEG[beams]
         self.angles: Array = np.asarray(np.deg2rad(first + spacing * np.arange(beams)), np.float64)
         self.stamps = stamps[kept]
@@ -121,16 +120,16 @@ class Carmen(Dataset):
         self._relations = None if relations is None else parse_relations(relations, listed)
         settings = [VERSION, self.corrected, self.max_range, float(min_range), stride]
         settings += [float(min_distance), float(min_angle_deg), max_scans, order, on_error]
-        determined_by = [hashlib.sha256(part).hexdigest() for part in (content, listed)]
+        determined_by = [content.hexdigest(), hashlib.sha256(listed).hexdigest()]
         self._fingerprint = hashlib.sha256(repr(determined_by + settings).encode()).hexdigest()
 
     def __len__(self) -> int:
-        return len(self.ranges)
+        return len(self._kept)
 
     def __getitem__(self, index: int) -> Scan:
         if not 0 <= index < len(self):
             raise IndexError(f"scan {index} of {len(self)}")
-        ranges = self.ranges[index]
+        ranges = self.readings(index)
         return Scan(
             index=index,
             stamp=float(self.stamps[index]),
@@ -141,6 +140,18 @@ class Carmen(Dataset):
             odometry=None if self.odometry is None else self.odometry[index],
             ground_truth=None if self.ground_truth is None else self.ground_truth[index],
         )
+
+    @property
+    def ranges(self) -> Array:
+        """The readings (S, B) of all scans; made anew each time, read from disk."""
+        return np.stack([self.readings(index) for index in range(len(self))])
+
+    def readings(self, index: int) -> Array:
+        """The readings (B,) of scan ``index`` in m, NaN for no return."""
+        readings = self._ranges[int(self._kept[index])]
+        returned = (readings > self._min_range) & (readings < self.max_range)
+        readings[~returned] = np.nan
+        return readings
 
     def fingerprint(self) -> str:
         """sha256 of the unpacked log, the relations and the settings, wherever the files are."""
@@ -223,12 +234,9 @@ def _odometry_between_scans(log: CarmenLog) -> Array | None:
 def no_return_limit(log: CarmenLog) -> float:
     """The range in m from which on a reading means "no return"; infinity if none does."""
     limit = np.inf if log.sensor_max is None else log.sensor_max
-    finite = log.ranges[np.isfinite(log.ranges)]
-    if len(finite):
-        longest = finite.max()
-        count = np.count_nonzero(finite == longest)
-        if count >= max(NO_RETURN_READINGS, NO_RETURN_SHARE * len(finite)):
-            limit = min(limit, longest - NO_RETURN_BAND)
+    readings = log.ranges
+    if readings.longest_count >= max(NO_RETURN_READINGS, NO_RETURN_SHARE * readings.finite_count):
+        limit = min(limit, readings.longest - NO_RETURN_BAND)
     return float(limit)
 
 

@@ -11,6 +11,10 @@ and everything else is left alone.
 
 from __future__ import annotations
 
+import math
+import os
+import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -41,15 +45,15 @@ SENSOR_MAX_PARAM = "robot_front_laser_max"
 class CarmenLog:
     """The FLASER lines of a log (S of them, in file order) and the ODOM lines around them.
 
-    ``ranges`` (S, B) m as written; ``laser_poses`` and ``robot_poses`` (S, 3) the two pose
-    triples (x, y, theta; m, rad); ``stamps`` (S,) s the ipc_timestamp; ``lines`` (S,) line
-    numbers. ``odom`` (O, 3) holds the poses of the ODOM lines. ``odom_before`` (F,) says how many
-    of them precede each FLASER line, malformed ones included, and ``good`` (S,) which of those F
-    lines the S scans are. ``sensor_max`` (m) is the log's own PARAM, if it has one. ``skipped``
-    counts malformed lines that were left out.
+    ``ranges`` the readings (B,) of each scan, m as written; ``laser_poses`` and ``robot_poses``
+    (S, 3) the two pose triples (x, y, theta; m, rad); ``stamps`` (S,) s the ipc_timestamp;
+    ``lines`` (S,) line numbers. ``odom`` (O, 3) holds the poses of the ODOM lines.
+    ``odom_before`` (F,) says how many of them precede each FLASER line, malformed ones included,
+    and ``good`` (S,) which of those F lines the S scans are. ``sensor_max`` (m) is the log's own
+    PARAM, if it has one. ``skipped`` counts malformed lines that were left out.
     """
 
-    ranges: Array
+    ranges: RangeFile
     laser_poses: Array
     robot_poses: Array
     stamps: Array
@@ -61,16 +65,55 @@ class CarmenLog:
     skipped: int
 
 
-def parse_log(path: str, content: bytes, on_error: Literal["raise", "skip"]) -> CarmenLog:
-    """Parse the content of a log; ``path`` only serves the messages.
+class RangeFile:
+    """The readings of a log's scans, in a temporary file: memory does not grow with the log.
+
+    ``longest`` is the longest finite reading (m), ``longest_count`` how often it occurs among
+    ``finite_count`` finite ones.
+    """
+
+    def __init__(self) -> None:
+        self._file = tempfile.TemporaryFile(prefix="rbtm_bench-")  # noqa: SIM115 (kept open)
+        self.beams = 0
+        self.count = 0
+        self.longest, self.longest_count, self.finite_count = -math.inf, 0, 0
+
+    def __len__(self) -> int:
+        return self.count
+
+    def append(self, readings: list[float]) -> None:
+        """Add a scan's readings (B,)."""
+        row = np.array(readings)
+        self._file.write(row.tobytes())
+        self.beams, self.count = len(row), self.count + 1
+        finite = row[np.isfinite(row)]
+        self.finite_count += len(finite)
+        if len(finite) == 0:
+            return
+        longest = float(finite.max())
+        if longest > self.longest:
+            self.longest, self.longest_count = longest, 0
+        if longest == self.longest:
+            self.longest_count += int(np.count_nonzero(finite == longest))
+
+    def __getitem__(self, scan: int) -> Array:
+        """The readings (B,) of a scan, in order of the file; an array of the caller's own."""
+        size = 8 * self.beams
+        if self._file.writable():
+            self._file.flush()
+        return np.frombuffer(os.pread(self._file.fileno(), size, size * scan)).copy()
+
+
+def parse_log(path: str, lines: Iterable[bytes], on_error: Literal["raise", "skip"]) -> CarmenLog:
+    """Parse the lines of a log; ``path`` only serves the messages.
 
     Raises ``DataError`` with file, line and field for the first malformed line, unless
     ``on_error`` is "skip"; and always if no FLASER line can be used.
     """
-    if b"\0" in content:
-        raise DataError(f"{path}: not a CARMEN log (binary data)")
     reader = _Reader(path)
-    for number, line in enumerate(content.split(b"\n"), start=1):
+    for number, line in enumerate(lines, start=1):
+        if b"\0" in line:
+            raise DataError(f"{path}: not a CARMEN log (binary data)")
         words = line.split()
         if not words:
             continue
@@ -89,7 +132,7 @@ class _Reader:
     def __init__(self, path: str) -> None:
         self.path = path
         self.count: int | None = None
-        self.ranges: list[Array] = []
+        self.ranges = RangeFile()
         self.tails: list[list[float]] = []
         self.lines: list[int] = []
         self.odom: list[list[float]] = []
@@ -127,7 +170,7 @@ class _Reader:
         tail = self._numbers(number, "pose", words[2 + count : 8 + count])
         tail += self._numbers(number, "ipc_timestamp", words[8 + count : 9 + count])
         self.count = count
-        self.ranges.append(np.array(ranges))
+        self.ranges.append(ranges)
         self.tails.append(tail)
         self.lines.append(number)
         self.good.append(len(self.odom_before) - 1)
@@ -156,7 +199,7 @@ class _Reader:
         return to_numbers(self.path, number, field, words, finite)
 
     def log(self) -> CarmenLog:
-        if not self.ranges:
+        if len(self.ranges) == 0:
             if self.first_error is None:
                 raise DataError(f"{self.path}: not a CARMEN log (no FLASER line)")
             raise DataError(
@@ -165,7 +208,7 @@ class _Reader:
             )
         tails = np.array(self.tails)
         return CarmenLog(
-            ranges=np.stack(self.ranges),
+            ranges=self.ranges,
             laser_poses=tails[:, :3],
             robot_poses=tails[:, 3:6],
             stamps=tails[:, 6],

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import bz2
 import gzip
+import hashlib
 import math
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from rbtm_bench.errors import DataError
@@ -33,6 +34,38 @@ def read_bytes(path: str | Path) -> bytes:
     if not content.strip():
         raise DataError(f"{path}: the file is empty")
     return content
+
+
+def unpacked_lines(path: str | Path, digest: hashlib._Hash) -> Iterator[bytes]:
+    """The lines of a file, unpacked on the way, so that a long log never is in memory as a whole.
+
+    ``digest`` sees the unpacked content. Raises ``DataError`` as ``read_bytes`` does, where the
+    damage is met.
+    """
+    try:
+        with open(path, "rb") as file:
+            magic = file.read(3)
+            file.seek(0)
+            unpacked: Iterable[bytes] = file
+            if magic.startswith(b"\x1f\x8b"):
+                unpacked = gzip.GzipFile(fileobj=file)
+            elif magic.startswith(b"BZh"):
+                unpacked = bz2.BZ2File(file)
+            blank = True
+            for line in unpacked:
+                digest.update(line)
+                blank = blank and not line.strip()
+                yield line
+    except IsADirectoryError:
+        raise DataError(f"{path}: expected a file, found a folder") from None
+    except (EOFError, ValueError, zlib.error, gzip.BadGzipFile) as error:
+        raise DataError(f"{path}: damaged or truncated archive ({error})") from None
+    except OSError as error:
+        if error.errno is None:  # bz2 reports damage so
+            raise DataError(f"{path}: damaged or truncated archive ({error})") from None
+        raise DataError(f"{path}: {error.strerror or error}") from None
+    if blank:
+        raise DataError(f"{path}: the file is empty")
 
 
 def data_lines(content: bytes) -> list[tuple[int, list[bytes]]]:

@@ -1,7 +1,8 @@
 """Figures of runs, from the files in their folders, each as PNG and PDF.
 
-``draw`` decides which figures a set of runs deserves; ``maps``, ``steps``, ``matrix`` and
-``methods`` hold one kind of figure each, ``folder`` reads, ``labels`` words, ``style`` saves.
+``draw`` decides which figures a set of runs deserves; ``maps``, ``steps``, ``matrix``,
+``methods``, ``heatmaps`` and ``lines`` hold one kind of figure each, ``folder`` reads, ``studies``
+sorts a sweep by its settings, ``labels`` words, ``style`` saves.
 """
 
 from __future__ import annotations
@@ -12,8 +13,9 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from rbtm_bench.errors import DataError
-from rbtm_bench.plots import labels, maps, matrix, methods, steps, style
+from rbtm_bench.plots import heatmaps, labels, lines, maps, matrix, methods, steps, style
 from rbtm_bench.plots.pairs import standard_and_rbtm
+from rbtm_bench.plots.studies import studies
 from rbtm_bench.results import Run
 
 MANY = 6
@@ -33,6 +35,9 @@ def draw(runs: Sequence[Run], out: Path) -> list[Path]:
       differ in the selector alone; of several seeds the lowest, of several settings of rbtm the
       first (not the best: that would be chosen on this very data), and the title says so.
     - ``errors``: the error of every method, from 3 runs on.
+    - ``<dataset>-heatmap``: the error of rbtm over threshold and window, or over the first two
+      numeric settings that vary, a panel a backend; ``<dataset>-line`` if a single one varies.
+      For other selectors ``<dataset>-<selector>-heatmap`` and ``-line``.
 
     Runs that are not done are left out. Raises ``DataError`` if nothing is left to draw, a file
     is damaged, or ``out`` cannot be written.
@@ -66,6 +71,12 @@ def _figures(runs: list[Run], done: list[Run]) -> Iterator[Named]:
         figure = methods.errors(runs)
         if figure is not None:
             yield "errors", figure
+    for study in studies(runs):
+        if len(study.axes) == 1:
+            yield f"{study.stem}-line", lines.draw(study)
+            continue
+        for number, figure in enumerate(heatmaps.draw(study), start=1):
+            yield f"{study.stem}-heatmap" + (f"-{number}" if number > 1 else ""), figure
 
 
 def _of_selection(stem: str, run: Run, note: str) -> Iterator[Named]:

@@ -22,6 +22,10 @@ WORDS = {"threshold": "Th"}
 LARGE = 10_000
 """mm (m) from which on m (km) are the better unit."""
 
+UNITS = {"window": "scans", "gap": "scans", "threshold": "no unit", "distance": "m"}
+"""Of a setting by its name's last word, where that is not the unit itself."""
+AXES = {"threshold": "similarity threshold Th"}
+
 FOLLOWS_PATH = ("relations", "poses")
 """Settings that change with the data set's path and tell nothing more."""
 
@@ -35,6 +39,24 @@ def section(run: Run, group: str) -> dict[str, Any]:
     """The settings of a group; empty if there are none."""
     node = run.config.get(group)
     return node if isinstance(node, dict) else {}
+
+
+def numbers(run: Run, group: str) -> dict[str, float]:
+    """The settings of a group that are finite numbers, seeds aside."""
+    return {
+        key: float(item)
+        for key, item in _flat(section(run, group)).items()
+        if isinstance(item, int | float) and not isinstance(item, bool) and math.isfinite(item)
+    }
+
+
+def axis(setting: str) -> str:
+    """An axis label with its unit: "keyframe angle (deg)", "window (scans)"."""
+    *words, last = setting.rpartition(".")[2].split("_")
+    if words and last in ("deg", "m", "s", "mm", "hz"):
+        return f"{' '.join(words)} ({last})"
+    name = AXES.get(setting, " ".join([*words, last]))
+    return f"{name} ({UNITS[last]})" if last in UNITS else name
 
 
 def folder_name(run: Run) -> str:

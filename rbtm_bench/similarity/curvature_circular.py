@@ -55,6 +55,7 @@ class CurvatureCircular(PairwiseSimilarity):
         self.min_valid_share = min_valid_share
         self.min_variance = min_variance
         self._spacing: float | None = None
+        self._geometry: tuple[Array, tuple[int, Array, Array]] | None = None
 
     def check(self, dataset: Dataset) -> None:
         require_beams(dataset, "curvature_circular")
@@ -66,18 +67,25 @@ class CurvatureCircular(PairwiseSimilarity):
 
     def describe_beams(self, ranges: Array, angles: Array) -> Array:
         """As ``describe``, of beams (B,) in m (NaN: no return) at evenly spaced angles in rad."""
-        h = self._half_span_beams(angles)
-        x, y = ranges * np.cos(angles), ranges * np.sin(angles)
+        h, cosine, sine = self._beams(angles)
+        x, y = ranges * cosine, ranges * sine
         dx, dy = x[2 * h :] - x[: -2 * h], y[2 * h :] - y[: -2 * h]
-        double = 2.0 * np.arctan2(dy, dx)
-        known = np.isfinite(double) & ((dx != 0) | (dy != 0))
-        u = np.where(known, np.exp(1j * np.where(known, double, 0.0)), 0.0)
-        count = known.sum()
+        # exp(2i phi) without a trigonometric function: ((dx^2 - dy^2) + 2i dx dy) / (dx^2 + dy^2)
+        square = dx * dx + dy * dy
+        known = square > 0.0  # False for NaN
+        count = int(np.count_nonzero(known))
+        descriptor = np.zeros(3 * len(dx))
+        if count == 0:
+            return descriptor
+        square = np.where(known, square, np.inf)
+        real = np.where(known, dx * dx - dy * dy, 0.0) / square
+        imag = np.where(known, 2.0 * dx * dy, 0.0) / square
         # rounding makes the variance of a perfect wall -1e-16: min_variance=0 must let it pass
-        variance = max(0.0, 1.0 - abs(u.sum() / count) ** 2) if count else 0.0
-        if variance < self.min_variance:
-            return np.zeros(3 * len(u))
-        return np.concatenate([u.real, u.imag, known])
+        mean_square = (float(real.sum()) ** 2 + float(imag.sum()) ** 2) / count**2
+        if max(0.0, 1.0 - mean_square) < self.min_variance:
+            return descriptor
+        np.concatenate([real, imag, known], out=descriptor)
+        return descriptor
 
     def pair_scores(self, rows: Descriptor, columns: Descriptor) -> Array:
         beams = rows.shape[-1] // 3
@@ -106,6 +114,13 @@ class CurvatureCircular(PairwiseSimilarity):
     def _lags(self) -> range:
         most = round(np.radians(self.max_lag_deg) / abs(self._spacing)) if self._spacing else 0
         return range(-most, most + 1)
+
+    def _beams(self, angles: Array) -> tuple[int, Array, Array]:
+        """The half-span in beams, and the beams' directions; computed when the angles change."""
+        if self._geometry is None or self._geometry[0] is not angles:
+            h = self._half_span_beams(angles)
+            self._geometry = (angles, (h, np.cos(angles), np.sin(angles)))
+        return self._geometry[1]
 
     def _half_span_beams(self, angles: Array) -> int:
         spacing = float(angles[-1] - angles[0]) / (len(angles) - 1)  # < 0: sensed clockwise

@@ -1,0 +1,89 @@
+"""What compare and sweep share: what was asked, the claim on a folder, and the end."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from rbtm_bench import summary, sweeps
+from rbtm_bench.files import make_folder
+from rbtm_bench.sweeps import Asked, Kind
+
+
+@contextlib.contextmanager
+def asked(
+    kind: Kind, words: list[str], options: argparse.Namespace, overrides: list[str]
+) -> Iterator[tuple[Asked, Path | None]]:
+    """What is asked for, and the folder to resume, if so: in the folder where it was asked."""
+    if options.resume is None:
+        dirs, quick = options.config_dir, options.fail_fast
+        yield sweeps.Asked.now(kind, words, overrides, dirs, quick), None
+        return
+    folder = Path(options.resume)
+    found = sweeps.Asked.read(folder, kind).again(overrides, options.fail_fast, options.config_dir)
+    for change in found.changes():
+        print(f"rbtm-bench: since {folder} was begun: {change}", file=sys.stderr)
+    if found.cwd == os.getcwd():
+        yield found, folder
+    elif Path(found.cwd).is_dir():
+        folder = folder.resolve()
+        with contextlib.chdir(found.cwd):  # where its relative paths begin
+            yield found, folder
+    else:
+        print(f"rbtm-bench: {found.cwd}, where this was begun, is gone", file=sys.stderr)
+        yield replace(found, cwd=os.getcwd()), folder
+
+
+@contextlib.contextmanager
+def claimed(asked: Asked, out: Path) -> Iterator[None]:
+    """The folder for this process alone, with what was asked for written into it. Ctrl-C says
+    how to go on."""
+    make_folder(out)
+    with sweeps.at_work(out):
+        asked.write(out)
+        (out / sweeps.STOP).unlink(missing_ok=True)
+        try:
+            yield
+        except KeyboardInterrupt:
+            count = sum(sweeps.status(folder) == "done" for folder in sweeps.run_folders(out))
+            print(
+                f"rbtm-bench: {count} finished runs stay; the rest: "
+                f"{sweeps.resume_command(asked.kind, out)}",
+                file=sys.stderr,
+            )
+            raise
+
+
+def finish(
+    out: Path, folders: Sequence[Path], failed: list[str], left: list[str], reused: int
+) -> int:
+    """Table and verdict, what failed and what was left; the exit code."""
+    runs = [folder for folder in folders if (folder / "run.json").is_file()]
+    code = 0
+    if runs:
+        try:
+            print(summary.of_runs(out, runs))
+        except OSError as error:
+            code = 1
+            print(f"rbtm-bench: no table: {error}", file=sys.stderr)
+    if reused:
+        print(f"{reused} of {len(folders)} runs were done before", file=sys.stderr)
+    if left:
+        print(f"{len(left)} runs were not started: {', '.join(left)}", file=sys.stderr)
+    return max(code, _report_failures(failed, len(folders)), 1 if left or not runs else 0)
+
+
+def _report_failures(failed: list[str], total: int) -> int:
+    if not failed:
+        return 0
+    print(f"{len(failed)} of {total} runs failed:", file=sys.stderr)
+    for line in failed[:10]:
+        print(f"  {line}", file=sys.stderr)
+    if len(failed) > 10:
+        print(f"  ... and {len(failed) - 10} more", file=sys.stderr)
+    return 1

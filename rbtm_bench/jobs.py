@@ -1,0 +1,185 @@
+"""The jobs of a sweep: Hydra's multirun over supervised runs, with whatever launcher."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import sys
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from rbtm_bench import comparison, sweeps
+from rbtm_bench.errors import ConfigError
+from rbtm_bench.grid import Point, values_beside_first
+from rbtm_bench.progress import RunBar
+from rbtm_bench.settings import Settings, composed, composing, from_hydra, parsed
+from rbtm_bench.sweeps import Asked
+from rbtm_bench.worker import StoppedError, Supervisor, own_supervisor
+
+POLL_S = 0.5
+"""How often the bar looks for runs that have ended."""
+
+_bar: RunBar | None = None
+"""The bar that runs of this very process report their scans to."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a sweep will do: settings in which every value occurs, first point first; the words of
+    every job, None where a sweeper makes them up as it goes; Hydra's words; is it one process?"""
+
+    settings: list[Settings]
+    jobs: list[list[str]] | None
+    words: list[str]
+    one_process: bool
+
+    @classmethod
+    def of(cls, overrides: list[str], extra_dirs: tuple[Path, ...]) -> Plan:
+        """Check every value and find out the jobs. Raises ``ConfigError``."""
+        for word in overrides:
+            if word.partition("=")[0] in ("hydra.sweep.dir", "hydra.sweep.subdir"):
+                raise ConfigError(f"{word}: out=DIR names a sweep's folder; its runs are numbered")
+        hydra_words = [word for word in overrides if word.startswith("hydra")]
+        task = [word for word in overrides if word not in hydra_words]
+        with composing(extra_dirs) as extra:
+            node = composed([*hydra_words, *extra]).hydra
+            fixed = _fixed(node.sweeper)
+            found = None if fixed is None else _product([*fixed, *task])
+        settings = values_beside_first([*(fixed or []), *task], extra_dirs)
+        alone = str(node.launcher.get("_target_")).endswith(".BasicLauncher")
+        return cls(settings, found, [*extra, *overrides], alone)
+
+    def check_data(self, asked: Asked) -> None:
+        """Open all data in a child, which does the runs as well where this is the one process.
+
+        Raises ``DataError`` or ``ConfigError``.
+        """
+        points = [Point(str(number), settings) for number, settings in enumerate(self.settings)]
+        pin = bool(self.settings[0].config["pin"])
+        if self.one_process:
+            own_supervisor(argv=asked.command).call(comparison.check_data, points, pin=pin)
+        else:
+            with Supervisor() as supervisor:
+                supervisor.call(comparison.check_data, points, pin=pin)
+
+    def left(self, folders: list[Path]) -> list[str]:
+        """The jobs that have no run, by number and words."""
+        begun = {folder.name for folder in folders if (folder / "run.json").is_file()}
+        return [
+            f"{number} ({' '.join(words)})"
+            for number, words in enumerate(self.jobs or [])
+            if str(number) not in begun
+        ]
+
+
+def _fixed(sweeper: DictConfig) -> list[str] | None:
+    """The words that Hydra's own sweeper adds from its config; None for another sweeper."""
+    if not str(sweeper.get("_target_")).endswith(".BasicSweeper"):
+        return None
+    return [f"{key}={value}" for key, value in (sweeper.get("params") or {}).items()]
+
+
+def _product(words: list[str]) -> list[list[str]]:
+    """The words of every job of Hydra's own sweeper, in its order."""
+    from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+
+    (batch,) = BasicSweeper.split_arguments(parsed(words), None)
+    return [list(job) for job in batch]
+
+
+def run_job(cfg: DictConfig) -> None:
+    """One job in whatever process the launcher runs it: a finished run is left as it is, any
+    other is done in a child of this process. Never raises but for Ctrl-C."""
+    from hydra.core.hydra_config import HydraConfig
+
+    hydra_cfg = HydraConfig.get()
+    folder, out = Path(hydra_cfg.sweep.dir), Path(hydra_cfg.runtime.output_dir)
+    asked = Asked.read(folder)
+    local = "joblib" in str(hydra_cfg.launcher.get("_target_")).lower()
+    with sweeps.at_work(folder, alone=False):
+        if (folder / sweeps.STOP).exists():
+            return
+        try:
+            record = _run(cfg, hydra_cfg, out, asked, local)
+        except StoppedError:
+            os._exit(1)
+    if record["status"] != "done":
+        if asked.fail_fast:
+            with contextlib.suppress(OSError):
+                (folder / sweeps.STOP).touch()
+        if sweeps.status(out) != "failed":
+            print(f"rbtm-bench: {out}: {record['reason']}", file=sys.stderr)
+
+
+def _run(cfg: DictConfig, hydra_cfg: Any, out: Path, asked: Asked, local: bool) -> dict[str, Any]:
+    """The job's run.json, from the folder or from a run."""
+    full = cfg.copy()
+    with open_dict(full):
+        full.hydra = hydra_cfg
+    words = tuple(hydra_cfg.overrides.task)
+    try:
+        settings = from_hydra(full, words)
+    except ConfigError as error:
+        plain = OmegaConf.to_container(cfg, resolve=False)
+        assert isinstance(plain, dict)
+        choices = {str(k): str(v) for k, v in hydra_cfg.runtime.choices.items()}
+        settings = Settings({str(k): v for k, v in plain.items()}, choices, words)
+        sweeps.clear([out])
+        return comparison.ended_by(error, settings, out)
+    if sweeps.is_finished(out, settings):
+        return sweeps.stored(out)
+    sweeps.clear([out])
+    settings = replace(settings, config={**settings.config, "overwrite": True})
+    wanted = functools.partial(_has_driver, asked) if local else None
+    if wanted and not wanted():
+        raise StoppedError("the sweep is gone")
+    cwd = Path(asked.cwd)
+    supervisor = own_supervisor(cwd if cwd.is_dir() else None, asked.command)
+    part = functools.partial(_bar.part, out.name) if _bar else None
+    limit = settings.config["time_limit"]
+    return supervisor.run(out.name, settings, out, limit, part, wanted)
+
+
+def _has_driver(asked: Asked) -> bool:
+    """False in a worker whose sweep has died: it would go on with the jobs that it has."""
+    return asked.pid in (os.getpid(), os.getppid())
+
+
+@contextlib.contextmanager
+def watched(out: Path, reused: set[str], bar: RunBar, mine: bool) -> Iterator[None]:
+    """Tell the bar of runs below ``out`` that end, whichever process they run in. With ``mine``
+    they run in this one and tell of their scans as well."""
+    global _bar
+    ended: set[str] = set(reused)
+    over = threading.Event()
+
+    def look() -> None:
+        with contextlib.suppress(OSError):
+            for folder in sweeps.run_folders(out):
+                if folder.name in ended:
+                    continue
+                status = sweeps.status(folder)
+                if status in ("done", "failed"):
+                    ended.add(folder.name)
+                    bar.ended(folder.name, status == "done")
+
+    def watch() -> None:
+        while not over.wait(POLL_S):
+            look()
+
+    thread = threading.Thread(target=watch, daemon=True)
+    _bar = bar if mine else None
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+        _bar = None
+        look()

@@ -1,0 +1,164 @@
+"""What a sweep shows of a selector's settings: the error over one or two that vary."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rbtm_bench.plots import labels
+from rbtm_bench.results import Run
+
+FAVOURITES = ("window", "threshold")
+"""The settings to look at where both vary; else the first two that do."""
+LOG_FROM = 20.0
+"""Largest over smallest number from which on a scale is logarithmic."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cell:
+    """The runs at one place: the median of those with an error, and how many there are."""
+
+    median: float
+    known: int
+    runs: int
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """One backend (and what else tells its runs apart). ``cells`` are by the settings' values;
+    ``control`` is the error of the selector "previous", None if there is none."""
+
+    name: str
+    cells: dict[tuple[float, ...], Cell]
+    control: float | None
+
+    @property
+    def best(self) -> float:
+        """NaN if no cell has an error."""
+        return min((c.median for c in self.cells.values() if c.known), default=math.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """One data set's runs of one selector: their error over the settings ``axes``."""
+
+    stem: str
+    data: str
+    selector: str
+    axes: tuple[str, ...]
+    unit: str
+    error: str
+    panels: list[Panel]
+
+    @property
+    def medians(self) -> list[float]:
+        return [c.median for p in self.panels for c in p.cells.values() if c.known]
+
+    def values(self, axis: int) -> list[float]:
+        """The values of a setting, ascending."""
+        return sorted({place[axis] for panel in self.panels for place in panel.cells})
+
+    @property
+    def title(self) -> str:
+        over = " and ".join(self.axes)
+        runs = max(c.runs for p in self.panels for c in p.cells.values())
+        medians = f", medians over seeds ({runs} runs each)" if runs > 1 else ""
+        return f"{self.data}: {self.error} of {self.selector} over {over}{medians}"
+
+
+def studies(runs: Sequence[Run]) -> list[Study]:
+    """What there is to draw, by data set and selector."""
+    by_data: dict[str, list[Run]] = {}
+    for run in runs:
+        by_data.setdefault(labels.data_key(run), []).append(run)
+    firsts = [group[0] for group in by_data.values()]
+    words = labels.varying(firsts, "dataset")
+    out: list[Study] = []
+    for first, group in zip(firsts, by_data.values(), strict=True):
+        found = labels.main_error([run for run in group if run.done])
+        if found is None:
+            continue
+        real = [run for run in group if labels.choice(run, "backend") != "none"] or group
+        controls = _controls(real, found[0])
+        name = ", ".join([labels.data_name(first), *words[first]])
+        file = "-".join([labels.choice(first, "dataset"), *words[first]])
+        for selector in dict.fromkeys(labels.choice(run, "selector") for run in real):
+            chosen = [run for run in real if labels.choice(run, "selector") == selector]
+            axes = _axes(chosen)
+            if axes:
+                stem = file if selector == "rbtm" else f"{file}-{selector}"
+                stem = _unique(re.sub(r"[^\w.=+-]+", "_", stem), [study.stem for study in out])
+                panels = _panels(chosen, real, axes, found[0], controls)
+                out.append(Study(stem, name, selector, axes, found[1], found[2], panels))
+    return [study for study in out if study.medians]
+
+
+def _unique(stem: str, taken: Sequence[str]) -> str:
+    name, count = stem, 2
+    while name in taken:
+        name, count = f"{stem}-{count}", count + 1
+    return name
+
+
+def _axes(runs: Sequence[Run]) -> tuple[str, ...]:
+    """The one or two numeric settings to draw over; none if none varies."""
+    numbers = [labels.numbers(run, "selector") for run in runs]
+    known = [key for key in numbers[0] if all(key in found for found in numbers)]
+    varying = [key for key in known if len({found[key] for found in numbers}) > 1]
+    return FAVOURITES if set(FAVOURITES) <= set(varying) else tuple(varying[:2])
+
+
+def _base_names(runs: Sequence[Run]) -> dict[Run, str]:
+    """The backend, and what else but selector and similarity tells the runs apart."""
+    settings = labels.varying(runs, "backend")
+    others = labels.distinctions(runs, ("guess", "check", "target"))
+    return {
+        run: ", ".join([labels.choice(run, "backend"), *settings[run], *others[run]])
+        for run in runs
+    }
+
+
+def _controls(runs: Sequence[Run], key: str) -> dict[str, float]:
+    """The median error of the selector "previous" by base name."""
+    names = _base_names(runs)
+    found: dict[str, list[float]] = {}
+    for run in runs:
+        number = labels.value(run, key) if run.done else None
+        if labels.choice(run, "selector") == "previous" and number is not None:
+            found.setdefault(names[run], []).append(number)
+    return {name: float(np.median(numbers)) for name, numbers in found.items()}
+
+
+def _panels(
+    chosen: Sequence[Run],
+    everything: Sequence[Run],
+    axes: tuple[str, ...],
+    key: str,
+    controls: dict[str, float],
+) -> list[Panel]:
+    base = _base_names(everything)
+    own = labels.distinctions(chosen, ("similarity",))
+    others = labels.varying(chosen, "selector", skip=(*axes, "gaps", "gaps_from"))
+    groups: dict[tuple[str, str], dict[tuple[float, ...], list[Run]]] = {}
+    for run in chosen:
+        numbers = labels.numbers(run, "selector")
+        name = ", ".join([base[run], *own[run], *others[run]])
+        place = tuple(numbers[axis] for axis in axes)
+        groups.setdefault((name, base[run]), {}).setdefault(place, []).append(run)
+    return [
+        Panel(name, {p: _cell(found, key) for p, found in places.items()}, controls.get(under))
+        for (name, under), places in groups.items()
+    ]
+
+
+def _cell(runs: Sequence[Run], key: str) -> Cell:
+    found = [n for run in runs if run.done and (n := labels.value(run, key)) is not None]
+    if not found:
+        return Cell(math.nan, 0, len(runs), math.nan, math.nan)
+    return Cell(float(np.median(found)), len(found), len(runs), min(found), max(found))
