@@ -7,6 +7,7 @@ import functools
 import os
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from rbtm_bench.grid import Point, values_beside_first
 from rbtm_bench.progress import RunBar
 from rbtm_bench.settings import Settings, composed, composing, from_hydra, parsed
 from rbtm_bench.sweeps import Asked
-from rbtm_bench.worker import StoppedError, Supervisor, own_supervisor
+from rbtm_bench.worker import Supervisor, own_supervisor
 
 POLL_S = 0.5
 """How often the bar looks for runs that have ended."""
@@ -101,14 +102,12 @@ def run_job(cfg: DictConfig) -> None:
     hydra_cfg = HydraConfig.get()
     folder, out = Path(hydra_cfg.sweep.dir), Path(hydra_cfg.runtime.output_dir)
     asked = Asked.read(folder)
-    local = "joblib" in str(hydra_cfg.launcher.get("_target_")).lower()
+    if "joblib" in str(hydra_cfg.launcher.get("_target_")).lower():
+        _end_with(asked.pid)
     with sweeps.at_work(folder, alone=False):
         if (folder / sweeps.STOP).exists():
             return
-        try:
-            record = _run(cfg, hydra_cfg, out, asked, local)
-        except StoppedError:
-            os._exit(1)
+        record = _run(cfg, hydra_cfg, out, asked)
     if record["status"] != "done":
         if asked.fail_fast:
             with contextlib.suppress(OSError):
@@ -117,7 +116,7 @@ def run_job(cfg: DictConfig) -> None:
             print(f"rbtm-bench: {out}: {record['reason']}", file=sys.stderr)
 
 
-def _run(cfg: DictConfig, hydra_cfg: Any, out: Path, asked: Asked, local: bool) -> dict[str, Any]:
+def _run(cfg: DictConfig, hydra_cfg: Any, out: Path, asked: Asked) -> dict[str, Any]:
     """The job's run.json, from the folder or from a run."""
     full = cfg.copy()
     with open_dict(full):
@@ -136,19 +135,27 @@ def _run(cfg: DictConfig, hydra_cfg: Any, out: Path, asked: Asked, local: bool) 
         return sweeps.stored(out)
     sweeps.clear([out])
     settings = replace(settings, config={**settings.config, "overwrite": True})
-    wanted = functools.partial(_has_driver, asked) if local else None
-    if wanted and not wanted():
-        raise StoppedError("the sweep is gone")
     cwd = Path(asked.cwd)
     supervisor = own_supervisor(cwd if cwd.is_dir() else None, asked.command)
     part = functools.partial(_bar.part, out.name) if _bar else None
     limit = settings.config["time_limit"]
-    return supervisor.run(out.name, settings, out, limit, part, wanted)
+    return supervisor.run(out.name, settings, out, limit, part)
 
 
-def _has_driver(asked: Asked) -> bool:
-    """False in a worker whose sweep has died: it would go on with the jobs that it has."""
-    return asked.pid in (os.getpid(), os.getppid())
+@functools.cache
+def _end_with(driver: int) -> None:
+    """Let this process, a worker of the driver's own, end soon after the driver has died.
+
+    It would go on with the jobs that it has been sent, or wait for more and keep its core.
+    """
+
+    def watch() -> None:
+        while os.getppid() == driver:
+            time.sleep(POLL_S)
+        os._exit(1)
+
+    if os.getpid() != driver:
+        threading.Thread(target=watch, daemon=True).start()
 
 
 @contextlib.contextmanager

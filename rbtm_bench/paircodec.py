@@ -148,8 +148,10 @@ def unpack(key: bytes, blob: object) -> RegistrationResult | BackendError:
     )
 
 
-def _array_bytes(array: NDArray[np.float64], side: int) -> tuple[bytes, bool]:
+def _array_bytes(array: object, side: int) -> tuple[bytes, bool]:
     """The bytes of a square matrix in its own memory order, and whether that is by columns."""
+    if not isinstance(array, np.ndarray):
+        raise TypeError(f"{type(array).__name__}: expected a matrix")
     if array.dtype != np.float64 or array.shape != (side, side):
         raise TypeError(f"matrix {array.shape} of {array.dtype}: expected {side}x{side} of float64")
     return array.tobytes("A"), array.flags.f_contiguous and not array.flags.c_contiguous

@@ -37,6 +37,7 @@ _BESIDE = ("-wal", "-shm", "-journal")
 _APPLICATION = 0x7262746D  # "rbtm"
 _SCHEMA = "CREATE TABLE pairs (key BLOB PRIMARY KEY, value BLOB NOT NULL) WITHOUT ROWID"
 _WAIT = 60.0  # s for a lock
+_LARGE = 1_000_000_000  # bytes: looking through more would keep others waiting
 
 
 class StoreFile(NamedTuple):
@@ -51,6 +52,7 @@ def create(path: Path) -> None:
     """Make an empty store; it appears whole, and what an earlier one left beside it goes."""
     for ending in _BESIDE:  # SQLite would add what it finds in them
         _beside(path, ending).unlink(missing_ok=True)
+    clear_partial(path.parent, path.name)
     write_atomically(path, _create)
 
 
@@ -85,14 +87,16 @@ def check_shared(path: Path, clean: str, how: How) -> None:
     """Check a store before it is opened for sharing; ``clean`` is the stamp of its last closing.
 
     Its pages are looked through only if it was not closed cleanly, and not while others have it
-    open: the first of them has looked. (A value carries a checksum of its own in any case.)
+    open (the first of them has looked) or if there is more than 1 GB of them. In any case every
+    value carries a checksum of its own.
     """
     if clean and clean == stamp(path):
         return
     try:
         with closing(_connect(path, how, wait=0)) as db:
             _verify(db)
-            check_pages(db)
+            if path.stat().st_size <= _LARGE:
+                check_pages(db)
     except sqlite3.Error as error:
         if _code(error) != sqlite3.SQLITE_BUSY:
             raise
@@ -135,6 +139,12 @@ def remove(path: Path) -> None:
     """Delete a store that is closed."""
     for ending in ("", *_BESIDE):
         _beside(path, ending).unlink(missing_ok=True)
+
+
+def clear_partial(folder: Path, name: str) -> None:
+    """Delete what processes left that were killed while they made a store called ``name``."""
+    for path in folder.glob(f".*.partial.{name}*"):
+        path.unlink(missing_ok=True)
 
 
 def inode(path: Path) -> int | None:

@@ -358,6 +358,7 @@ def merge(folder: Path) -> int:
         count = store._count()
     for path in folded:
         pairfiles.remove(path)
+    pairfiles.clear_partial(folder, "pairs-")
     return count
 
 

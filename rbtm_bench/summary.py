@@ -65,17 +65,19 @@ def of_runs(out: Path, folders: Sequence[Path]) -> str:
     every, methods = results.frame(runs), results.over_seeds(runs)
     write_text(out / "table.csv", tables.render(every, "csv") + "\n")
     write_text(out / "summary.csv", tables.render(methods, "csv") + "\n")
-    lines = [*overview(methods), *tables.verdict(methods), *reuse(runs), *reasons(runs)]
+    best = tables.best(methods)
+    told = bool(tables.chances(best))
+    lines = [*overview(methods, best), *tables.verdict(methods, say_tries=not told)]
+    lines += [*reuse(runs), *reasons(runs)]
     lines += [f"warning: {line}" for line in differences(runs)]
     lines.append(f"a row a run: {out / 'table.csv'}; a row a method: {out / 'summary.csv'}")
     lines.append(f"figures: rbtm-bench plot {out}")
     return "\n".join(lines)
 
 
-def overview(methods: pd.DataFrame) -> list[str]:
+def overview(methods: pd.DataFrame, best: pd.DataFrame) -> list[str]:
     """The best setting of every method, and all methods if they fit a screen: one table where
     both would be the same."""
-    best = tables.best(methods)
     if len(best) == len(methods) <= LONG:
         return _with_same(methods, tables.SHORT, tables.ALWAYS)
     lines = of_best(best)
@@ -131,7 +133,9 @@ def reasons(runs: Sequence[Run]) -> list[str]:
     if not by_reason:
         return []
     groups = sorted(by_reason.items(), key=lambda group: -len(group[1]))
-    lines = [f"not done: {sum(len(found) for _, found in groups)} of {_runs(len(runs))}"]
+    statuses = {run.record.get("status") for run in runs} - {"done"}
+    word = "failed" if statuses == {"failed"} else "not done"
+    lines = [f"{word}: {sum(len(found) for _, found in groups)} of {_runs(len(runs))}"]
     for reason, found in groups[:REASONS]:
         lines.append(f"  {len(found)} x {reason} ({_few([r.path.name for r in found])})")
     if len(groups) > REASONS:

@@ -242,11 +242,12 @@ def _listed(names: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
 
 
-def verdict(table: pd.DataFrame) -> list[str]:
+def verdict(table: pd.DataFrame, say_tries: bool = True) -> list[str]:
     """Sentences, computed from the numbers, on how rbtm compares with its controls.
 
     ``table`` has a row a method (medians over seeds). A line for every data set and backend that
-    has rbtm and at least one control. Not a test of significance: medians are compared.
+    has rbtm and at least one control. Not a test of significance: medians are compared. Without
+    ``say_tries`` somebody else says of how many settings each is the best.
     """
     lines: list[str] = []
     for (data, backend), methods in table.groupby(["data", "backend"], sort=False):
@@ -271,7 +272,7 @@ def verdict(table: pd.DataFrame) -> list[str]:
             line += f"; previous {_figure(value)} {unit}, {_relation(float(best[key]), value)}"
         line += _without_registration(table, str(data), key, unit, float(best[key]))
         tries = methods.groupby("selector", sort=False).size()
-        if tries.max() > 1:
+        if say_tries and tries.max() > 1:
             line += ". Best of " + ", ".join(f"{n} x {s}" for s, n in tries.items())
             line += " settings, chosen on this very data"
         lines.append(line + ".")

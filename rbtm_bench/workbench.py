@@ -192,7 +192,7 @@ class SharedBackend(Backend):
         super().__init__(backend.max_correspondence_distance, backend.voxel_size)
         self._backend, self._store, self._common = backend, store, common
         self.memory = memory
-        self._prepared, self._results = memory
+        self._scans, self._results = memory
 
     def build(self, points: Array, planar: bool) -> Any:
         return self._backend.build(points, planar)
@@ -202,12 +202,12 @@ class SharedBackend(Backend):
 
     def prepare(self, scan: Scan) -> Prepared:
         key = (self._common, scan.index)
-        prepared = self._prepared.get(key)
+        prepared = self._scans.get(key)
         if prepared is not None:
             self.saved_seconds = prepared.seconds
             return prepared
         prepared = self._backend.prepare(scan)
-        return self._prepared.put(key, prepared, prepared.points.nbytes * NATIVE_SHARE + 2000)
+        return self._scans.put(key, prepared, prepared.points.nbytes * NATIVE_SHARE + 2000)
 
     def merge(self, parts: Sequence[tuple[Prepared, Array]]) -> Prepared:
         return self._backend.merge(parts)

@@ -14,6 +14,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import fcntl
+import importlib
 import json
 import os
 import pickle
@@ -38,17 +39,17 @@ if TYPE_CHECKING:
 Progress = Callable[[int, int], None]
 """Called with scans done and scans in all."""
 
-Wanted = Callable[[], bool]
-"""False when nobody wants the answer any more."""
-
 POLL_S = 0.5
-"""How often a waiting parent looks whether its child still lives, and is still wanted."""
+"""How often a waiting parent looks whether its child still lives."""
 PROGRESS_S = 0.2
 """Least time between two messages of progress."""
 START_S = 120.0
 """A child that is not ready by then counts as broken."""
 CLOSE_S = 10.0
 """What a child gets to end by itself when its work is over."""
+
+NEEDED = ("rbtm_bench.comparison", "pyarrow.parquet", "evo.core.metrics")
+"""What every run needs, loaded before a time limit counts; a backend's library is not."""
 
 BOOT = (
     "import json, sys; sys.path[:], *words = json.loads(sys.argv.pop()); "
@@ -64,7 +65,7 @@ class ChildError(RunError):
 
 
 class StoppedError(RunError):
-    """Nobody wants the answer any more; the child was killed."""
+    """The supervisor was told to stop; its child was killed."""
 
 
 @dataclass(eq=False)
@@ -111,8 +112,8 @@ class Child:
             raise
         return child
 
-    def receive(self, deadline: float | None = None, wanted: Wanted | None = None) -> Any:
-        """The child's next message. Raises ``TimeoutError``, ``ChildError`` or ``StoppedError``."""
+    def receive(self, deadline: float | None = None) -> Any:
+        """The child's next message. Raises ``TimeoutError`` or ``ChildError``."""
         while True:
             left = POLL_S if deadline is None else min(POLL_S, deadline - time.monotonic())
             try:
@@ -125,8 +126,6 @@ class Child:
                 raise self._post_mortem()
             if deadline is not None and time.monotonic() >= deadline:
                 raise TimeoutError
-            if wanted is not None and not wanted():
-                raise StoppedError("nobody waits for this run any more")
 
     def _exited(self) -> bool:
         """True if the process has ended. It stays a zombie: nobody else gets its number."""
@@ -190,19 +189,18 @@ class Supervisor:
         out: Path,
         time_limit: float | None = None,
         progress: Progress | None = None,
-        wanted: Wanted | None = None,
     ) -> dict[str, Any]:
         """One run in the child; returns its ``run.json`` whatever happens to the child.
 
         The ``time_limit``, in s, counts from when the child begins. Raises ``StoppedError`` when
-        ``wanted`` turns false or ``kill`` is called: the run then stays "started".
+        ``kill`` is called: the run then stays "started".
         """
         from rbtm_bench.comparison import ended_by, run_one
 
         pin = bool(settings.config.get("pin", True))
         try:
             job = (run_one, (name, settings, out))
-            _, record = self._ask(job, pin, time_limit, progress, wanted)
+            _, record = self._ask(job, pin, time_limit, progress)
         except TimeoutError:
             return ended_by(RunError(f"time limit of {time_limit:g} s"), settings, out)
         except ChildError as error:
@@ -219,14 +217,13 @@ class Supervisor:
         pin: bool,
         time_limit: float | None = None,
         progress: Progress | None = None,
-        wanted: Wanted | None = None,
     ) -> Any:
         """Hand over a job and wait for the answer. Without an answer the child is gone."""
         argv = list(sys.argv if self._argv is None else self._argv)
         try:
             child = self._begin(pickle.dumps((*job, argv, progress is not None)), pin)
             deadline = None if time_limit is None else time.monotonic() + time_limit
-            while (message := child.receive(deadline, wanted))[0] == "progress":
+            while (message := child.receive(deadline))[0] == "progress":
                 if progress is not None:
                     progress(*message[1])
         except BaseException as error:
@@ -342,6 +339,8 @@ def serve(channel_fd: int, lifeline: int, crash: int, pin: bool) -> None:
         from rbtm_bench.pinning import pin_to_free_core
 
         pin_to_free_core()
+    for module in NEEDED:
+        importlib.import_module(module)
     channel = Connection(channel_fd)
     channel.send("ready")
     while True:

@@ -7,6 +7,15 @@ from pathlib import Path
 
 import pytest
 
+from rbtm_bench.contract.plugin import hands_out_work
+from rbtm_bench.pinning import pin_to_free_core
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Pin before any backend is imported: tests that compare bits need it."""
+    if not hands_out_work(config):
+        pin_to_free_core()
+
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:

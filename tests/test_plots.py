@@ -367,5 +367,5 @@ def test_quantities_have_three_digits_and_a_fitting_unit(number: float, unit: st
 def test_titles_break_into_lines_that_fit():
     with style.paper():
         text = style.wrapped(f"one two\n{'word ' * 30}{'a-long-name-' * 12}$x$", 3.4)
-        assert all(style._inches(line) <= 3.4 for line in text.splitlines())
+        assert all(style.inches(line) <= 3.4 for line in text.splitlines())
     assert text.startswith("one two\n") and r"\$x\$" in text.replace("\n", "")

@@ -208,13 +208,6 @@ def test_a_killed_supervisor_stops_its_run(tmp_path: Path) -> None:
         supervisor.run("b", settings(), tmp_path / "b")
 
 
-def test_a_run_that_nobody_wants_stops(supervisor: Supervisor, tmp_path: Path) -> None:
-    began = time.monotonic()
-    with pytest.raises(StoppedError):
-        supervisor.run("a", settings("hang"), tmp_path, wanted=lambda: time.monotonic() < began + 1)
-    assert supervisor.pid is None
-
-
 def test_threads_have_children_of_their_own(tmp_path: Path) -> None:
     pids: list[int | None] = []
 

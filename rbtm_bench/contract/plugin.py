@@ -41,7 +41,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     """Pin before any backend library is imported, and look up the plug-ins that are asked for."""
-    if not _hands_out_work(config):
+    if not hands_out_work(config):
         pin_to_free_core()
     here = config.invocation_params.dir
     try:
@@ -54,6 +54,6 @@ def pytest_configure(config: pytest.Config) -> None:
         raise pytest.UsageError(str(error)) from error
 
 
-def _hands_out_work(config: pytest.Config) -> bool:
+def hands_out_work(config: pytest.Config) -> bool:
     """True for the process that only starts pytest-xdist's workers: they inherit its cores."""
     return not hasattr(config, "workerinput") and bool(config.getoption("tx", default=[]))

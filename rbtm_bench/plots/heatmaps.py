@@ -200,7 +200,7 @@ def _colour_bar(figure: Figure, image: AxesImage, axes: list[Axes], label: str) 
 
 def _legend(panels: list[Panel], look: Look) -> list[Any]:
     found = [cell for panel in panels for cell in panel.cells.values()]
-    handles: list[Any] = [Patch(**BEST, label="best of the panel")]
+    handles: list[Any] = [Patch(**BEST, label="best of the panel, chosen on this data")]
     if any(not cell.known for cell in found):
         handles.append(Patch(**FAILED, label="failed"))
     if any(len(panel.cells) < len(look.x) * len(look.y) for panel in panels):

@@ -194,14 +194,20 @@ def _draw_panel(ax: Axes, part: Data, backend: str) -> None:
 
 
 def _remark(ax: Axes, height: int, words: str, values: list[float]) -> None:
-    """Words in a row, at the end that is farther from its markers."""
+    """Words in a row, at the end that is farther from its markers; above them if both are full."""
     markers = [ax.transData.transform((value, height))[0] for value in values]
     left, right = ax.transAxes.transform([(0, 0), (1, 0)])[:, 0]
-    at_left = not markers or min(markers) - left > right - max(markers)
+    room = {"left": min(markers, default=right) - left, "right": right - max(markers, default=left)}
+    side = max(room, key=lambda name: room[name])
+    if room[side] < style.inches(words) * ax.figure.dpi * 1.2:
+        ax.text(
+            0.5, height - 0.2, words, transform=ax.get_yaxis_transform(),
+            ha="center", va="bottom", c="0.35", fontsize=0.75 * style.FONT,
+        )  # fmt: skip
+        return
     ax.text(
-        0.02 if at_left else 0.98, height, words, transform=ax.get_yaxis_transform(),
-        ha="left" if at_left else "right", va="center", c="0.35",
-        bbox={"fc": "w", "ec": "none", "pad": 1.0},
+        0.02 if side == "left" else 0.98, height, words, transform=ax.get_yaxis_transform(),
+        ha=side, va="center", c="0.35", bbox={"fc": "w", "ec": "none", "pad": 1.0},
     )  # fmt: skip
 
 

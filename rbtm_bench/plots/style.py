@@ -87,7 +87,7 @@ def wrapped(text: str, width: float) -> str:
         line = ""
         for word in _pieces(paragraph.split(" "), limit):
             longer = f"{line} {word}" if line else word
-            if line and _inches(longer) > limit:
+            if line and inches(longer) > limit:
                 lines.append(line)
                 longer = word
             line = longer
@@ -98,8 +98,8 @@ def wrapped(text: str, width: float) -> str:
 def _pieces(words: Sequence[str], width: float) -> Iterator[str]:
     """The words, those too wide for a line in parts, cut behind a hyphen where there is one."""
     for word in words:
-        while _inches(word) > width:
-            fits = next(n for n in range(len(word) - 1, 0, -1) if _inches(word[:n]) <= width)
+        while inches(word) > width:
+            fits = next(n for n in range(len(word) - 1, 0, -1) if inches(word[:n]) <= width)
             cut = word.rfind("-", 1, fits) + 1 or fits
             yield word[:cut]
             word = word[cut:]
@@ -111,8 +111,8 @@ def plain(text: str) -> str:
     return text.replace("$", r"\$")
 
 
-def _inches(text: str) -> float:
-    """Width of a line in our font, without kerning."""
+def inches(text: str) -> float:
+    """Width of a line of text in our font, without kerning."""
     return sum(map(_letter, text)) / 72
 
 
