@@ -24,7 +24,7 @@ NAME = "pairs.sqlite"
 """The shared store in its folder."""
 LOCK = "pairs.lock"
 """Locked while a process opens, closes or sets aside; holds the stamp of a clean store."""
-TROUBLE = (sqlite3.Error, OSError, MemoryError, DamageError)
+TROUBLE = (sqlite3.Error, OSError, MemoryError, UnicodeError, DamageError)
 
 How = Literal["shared", "alone", "sealed"]
 _OPTIONS = {
@@ -120,7 +120,8 @@ def stamp(path: Path) -> str:
 def is_damage(error: BaseException, opening: bool = False) -> bool:
     """Whether the file is to blame, not the machine. An SQL error says so only at opening."""
     codes = [sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB] + [sqlite3.SQLITE_ERROR] * opening
-    return isinstance(error, DamageError) or _code(error) in codes
+    # Python cannot read an error message of SQLite's that quotes damaged text
+    return isinstance(error, DamageError | UnicodeError) or _code(error) in codes
 
 
 def set_aside(path: Path) -> Path:

@@ -112,9 +112,11 @@ def reuse(runs: Sequence[Run]) -> list[str]:
     asked = reused = rejected = 0
     for run in runs:
         share, coverage = run.metrics.get("reused"), run.metrics.get("coverage")
-        if share is None or coverage is None or run.record["choices"].get("backend") == "none":
+        scans = run.record.get("scans")
+        registers = run.record["choices"].get("backend") != "none"
+        if share is None or coverage is None or scans is None or not registers:
             continue
-        accepted = round(coverage * (run.record["scans"] - 1))
+        accepted = round(coverage * (scans - 1))
         asked += accepted
         reused += round(share * accepted)
         rejected += run.metrics.get("rejected") or 0
@@ -163,7 +165,8 @@ def _other_data(runs: Sequence[Run]) -> list[str]:
     for run in runs:
         if run.record.get("dataset_fingerprint"):
             name = " ".join(filter(None, [run.record["choices"].get("dataset"), words[run.path]]))
-            seed = (run.config.get("dataset") or {}).get("seed")
+            settings = run.config.get("dataset")
+            seed = settings.get("seed") if isinstance(settings, dict) else None
             groups.setdefault((name, seed), []).append(run)
     lines: dict[str, list[str]] = {}
     for (name, seed), group in groups.items():

@@ -82,9 +82,14 @@ def test_cells_are_medians_over_seeds_of_the_runs_that_are_done(tmp_path: Path) 
     assert found == {(4.0, 0.5): (20.0, 3, 3), (8.0, 0.5): (40.0, 1, 2)}
     assert panel.cells[4.0, 0.6].known == 0 and (8.0, 0.6) not in panel.cells
     assert panel.best == 20.0 and panel.control is None
-    (figure,) = heatmaps.draw(study)
+    with style.paper():
+        (figure,) = heatmaps.draw(study)
+        figure.draw_without_rendering()
     words = texts(figure)
-    assert "20" in words and "40*" in words and "some of its runs failed" in words
+    assert "20" in words and "40*" in words and "some runs failed" in words
+    box = figure.legends[0].get_window_extent()
+    assert figure.get_figwidth() == style.SINGLE
+    assert figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1
     # the ground shows where nothing was run, the failed cell has a hatch of its own
     assert len(set(hatches(figure))) == 2 and {"failed", "not run"} <= set(words)
 

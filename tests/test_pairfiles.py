@@ -54,6 +54,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "pages of noise": lambda path: overwrite(path, 3 * 4096, os.urandom(3 * 4096)),
     "root of the tree": lambda path: overwrite(path, 4096, bytes(4096)),
     "schema": lambda path: overwrite(path, 100, os.urandom(3996)),
+    "text in the schema": lambda path: overwrite(path, 4060, b"\x80" * 36),
 }
 
 
@@ -160,19 +161,19 @@ def test_too_much_damage_ends_the_store(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def small_store(tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    return make(tmp_path_factory.mktemp("pairs"), 200).read_bytes()
+def small_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make(tmp_path_factory.mktemp("pairs"), 200)
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_damage_anywhere_is_harmless(
-    tmp_path_factory: Any, small_store: bytes, data: st.DataObject
+    tmp_path_factory: Any, small_store: Path, data: st.DataObject
 ) -> None:
     """Bytes changed at rest, unnoticed at opening: a right value, or none, and no error."""
     folder = tmp_path_factory.mktemp("fuzz")
     path = folder / "pairs.sqlite"
-    path.write_bytes(small_store)
+    path.write_bytes(small_store.read_bytes())
     stat = path.stat()
     (folder / "pairs.lock").write_text(pairfiles.stamp(path))
     near_the_start = st.integers(0, 150) | st.integers(4096, 4300)

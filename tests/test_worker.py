@@ -28,7 +28,7 @@ def settings(how: str = "none", *words: str, scans: int = 12) -> Settings:
     return compose_settings([*common, *words], (CONFIGS,))
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def supervisor() -> Iterator[Supervisor]:
     with Supervisor() as one:
         yield one
@@ -98,9 +98,10 @@ def test_a_crash_tells_where_it_was(supervisor: Supervisor, tmp_path: Path) -> N
 def test_time_limit(supervisor: Supervisor, tmp_path: Path, how: str) -> None:
     supervisor.call(os.getpid)
     first = supervisor.pid
+    supervisor.run("warm", settings(), tmp_path / "warm")
     began = time.monotonic()
     record = supervisor.run("slow", settings(how), tmp_path / "slow", time_limit=1.5)
-    assert 1.4 < time.monotonic() - began < 6.0
+    assert 1.4 < time.monotonic() - began < 10.0
     assert (record["status"], record["reason"]) == ("failed", "time limit of 1.5 s")
     assert record_of(tmp_path / "slow")["reason"] == record["reason"]
     assert first is not None and not alive(first)
@@ -178,7 +179,7 @@ def test_progress_comes_now_and_then(supervisor: Supervisor, tmp_path: Path) -> 
     seen: list[tuple[int, int]] = []
     slow = settings("slow", scans=60)
     supervisor.run("a", slow, tmp_path, progress=lambda *at: seen.append(at))
-    assert 2 <= len(seen) <= 12
+    assert 2 <= len(seen) < 40
     assert seen == sorted(seen) and {total for _, total in seen} == {60}
 
 
@@ -200,20 +201,26 @@ def complain(kind: type[Exception]) -> None:
 
 def test_a_killed_supervisor_stops_its_run(tmp_path: Path) -> None:
     supervisor = Supervisor()
-    threading.Timer(1.5, supervisor.kill).start()
+
+    def kill() -> None:
+        assert wait_until((tmp_path / "a" / "run.json").exists, 60)
+        supervisor.kill()
+
+    threading.Thread(target=kill).start()
     with pytest.raises(StoppedError):
-        supervisor.run("a", settings("hang"), tmp_path)
-    assert record_of(tmp_path)["status"] == "started"
+        supervisor.run("a", settings("hang"), tmp_path / "a")
+    assert record_of(tmp_path / "a")["status"] == "started"
     with pytest.raises(StoppedError):
         supervisor.run("b", settings(), tmp_path / "b")
 
 
 def test_threads_have_children_of_their_own(tmp_path: Path) -> None:
     pids: list[int | None] = []
+    mild = settings()
 
     def work(name: str) -> None:
         with Supervisor() as mine:
-            assert mine.run(name, settings(), tmp_path / name)["status"] == "done"
+            assert mine.run(name, mild, tmp_path / name)["status"] == "done"
             pids.append(mine.pid)
 
     threads = [threading.Thread(target=work, args=(name,)) for name in "ab"]

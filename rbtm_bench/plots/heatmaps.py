@@ -200,13 +200,13 @@ def _colour_bar(figure: Figure, image: AxesImage, axes: list[Axes], label: str) 
 
 def _legend(panels: list[Panel], look: Look) -> list[Any]:
     found = [cell for panel in panels for cell in panel.cells.values()]
-    handles: list[Any] = [Patch(**BEST, label="best of the panel, chosen on this data")]
+    handles: list[Any] = [Patch(**BEST, label="best (on this data)")]
     if any(not cell.known for cell in found):
         handles.append(Patch(**FAILED, label="failed"))
     if any(len(panel.cells) < len(look.x) * len(look.y) for panel in panels):
         handles.append(Patch(**MISSING, label="not run"))
     if look.written and any(0 < cell.known < cell.runs for cell in found):
         handles.append(
-            Line2D([], [], ls="", marker="$*$", color="k", ms=4, label="some of its runs failed")
+            Line2D([], [], ls="", marker="$*$", color="k", ms=4, label="some runs failed")
         )
     return handles

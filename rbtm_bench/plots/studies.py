@@ -68,7 +68,8 @@ class Study:
     def title(self) -> str:
         over = " and ".join(self.axes)
         runs = max(c.runs for p in self.panels for c in p.cells.values())
-        medians = f", medians over seeds ({runs} runs each)" if runs > 1 else ""
+        each = labels.unbroken(f"({runs} runs each)")
+        medians = f", medians over seeds {each}" if runs > 1 else ""
         return f"{self.data}: {self.error} of {self.selector} over {over}{medians}"
 
 
