@@ -77,10 +77,10 @@ def parse(command: str, text: str, words: list[str]) -> tuple[argparse.Namespace
 
 def run(words: list[str]) -> int:
     """``rbtm-bench run``."""
+    options, overrides = parse("run", RUN_HELP, words)
     from rbtm_bench import experiment, summary
     from rbtm_bench.settings import compose_settings
 
-    options, overrides = parse("run", RUN_HELP, words)
     pin_unless_lifted(overrides)
     settings = compose_settings(overrides, tuple(map(Path, options.config_dir)))
     out = Path(settings.config["out"] or default_folder("runs", settings.choices))
@@ -100,12 +100,12 @@ def pin_unless_lifted(overrides: list[str]) -> None:
 
 def compare(words: list[str]) -> int:
     """``rbtm-bench compare``."""
+    options, overrides = parse("compare", COMPARE_HELP, words)
     from rbtm_bench import comparison, summary
     from rbtm_bench.experiment import refuse_existing
     from rbtm_bench.files import make_folder
     from rbtm_bench.grid import make_points
 
-    options, overrides = parse("compare", COMPARE_HELP, words)
     jobs = options.jobs if options.jobs is not None else comparison.default_jobs()
     if jobs < 1:
         raise ConfigError(f"--jobs {jobs}: expected at least 1")
@@ -133,11 +133,11 @@ def compare(words: list[str]) -> int:
 
 def sweep(words: list[str]) -> int:
     """``rbtm-bench sweep``: Hydra's multirun over ``experiment.run``."""
+    options, overrides = parse("sweep", SWEEP_HELP, words)
     from rbtm_bench import comparison, summary
     from rbtm_bench.experiment import refuse_existing
     from rbtm_bench.grid import Point, check_values
 
-    options, overrides = parse("sweep", SWEEP_HELP, words)
     out = Path(default_folder("sweeps"))
     kept = []
     for word in overrides:

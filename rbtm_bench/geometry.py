@@ -80,7 +80,7 @@ def is_rigid(T: ArrayLike, tolerance: float = 1e-6) -> bool:
     if M.shape != (4, 4):
         return False
     # plain floats: asked for every registration, and numpy's calls would cost more than the sums
-    (a, b, c, x), (d, e, f, y), (g, h, i, z), (k, m, n, w) = M.tolist()
+    (a, b, c, _), (d, e, f, _), (g, h, i, _), (k, m, n, w) = M.tolist()
     off = max(
         abs(a * a + b * b + c * c - 1.0),
         abs(d * d + e * e + f * f - 1.0),

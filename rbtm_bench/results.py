@@ -75,9 +75,13 @@ def read_run(path: Path) -> Run:
     try:
         config = OmegaConf.to_container(OmegaConf.load(path / "config.yaml"))
     except Exception as error:
-        raise DataError(f"{path / 'config.yaml'}: {str(error).splitlines()[0]}") from error
-    if not isinstance(config, dict):
-        raise DataError(f"{path / 'config.yaml'}: expected a mapping")
+        text = " ".join(str(error).split()) or type(error).__name__
+        raise DataError(f"{path / 'config.yaml'}: {text}") from error
+    if not isinstance(config, dict) or not isinstance(config.get("selector") or {}, dict):
+        raise DataError(f"{path / 'config.yaml'}: expected a run's settings")
+    record["choices"] = record.get("choices") or {}
+    if not isinstance(record["choices"], dict):
+        raise DataError(f"{path / 'run.json'}: choices: expected an object")
     return Run(path, record, {str(k): v for k, v in config.items()}, metrics)
 
 

@@ -78,7 +78,7 @@ def render(table: pd.DataFrame, fmt: str) -> str:
 
     align = ["right" if c in numeric else "left" for c in shown]
     headers = list(shown) if fmt == "md" else [_stacked(str(c)) for c in shown]
-    kind = "github" if fmt == "md" else "simple"
+    kind = "pipe" if fmt == "md" else "simple"
     if fmt == "md":
         words = words.map(lambda word: word.replace("|", "\\|"))
     return tabulate(
@@ -190,5 +190,6 @@ def _word(value: Any) -> str:
     if _is_empty(value):
         return ""
     if isinstance(value, float):
-        return f"{value:.0f}" if value == round(value) and abs(value) < 1e6 else f"{value:.4g}"
+        whole = abs(value) < 1e6 and (abs(value) >= 1e3 or value == round(value))
+        return f"{value:.0f}" if whole else f"{value:.4g}"
     return str(value)
