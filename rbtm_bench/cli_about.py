@@ -71,8 +71,15 @@ def missing_library(group: str, name: str, node: dict[str, Any] | ConfigError) -
         cls = locate(f"{group}={name}", str(node.get("_target_")))
     except ConfigError as error:
         return str(error)
-    absent = [p for p in getattr(cls, "requires", ()) if importlib.util.find_spec(p) is None]
+    absent = [package for package in getattr(cls, "requires", ()) if not _is_there(package)]
     return f"needs {', '.join(absent)}" if absent else None
+
+
+def _is_there(package: str) -> bool:
+    try:
+        return importlib.util.find_spec(package) is not None
+    except (ImportError, ValueError):
+        return False
 
 
 def _about(group: str, name: str, node: dict[str, Any] | ConfigError) -> str:
@@ -156,7 +163,7 @@ def _check_machine() -> list[str]:
     else:
         print("--   this system cannot pin a process to a core: Open3D's last bits may vary")
     data = os.environ.get("RBTM_BENCH_DATA")
-    if data is None:
+    if not data:
         print("--   RBTM_BENCH_DATA is not set: tests on real data will be skipped")
         return []
     advice = "point it at a folder that holds freiburg/, corrected/ and kitti/"

@@ -29,8 +29,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Optional
 
 from annotated_types import Gt
 
-from rbtm_bench.backends.base import Alignment, Backend
-
 if TYPE_CHECKING:
     from nowhere import Nothing
 
@@ -40,7 +38,7 @@ class Speed(Enum):
     FAST = "fast"
 
 
-class Mine(Backend):
+class Mine:
     def __init__(
         self,
         rounds: Annotated[int, Gt(0)],
@@ -53,23 +51,15 @@ class Mine(Backend):
         untyped=None,
         anything: Any = None,
         inner: Any = None,
-    ) -> None:
-        super().__init__()
-
-    def build(self, points, planar):
-        return None
-
-    def align(self, source, target, T_target_source):
-        return Alignment(T_target_source)
+    ) -> None: ...
 
     @classmethod
     def made(cls, rounds: int) -> Mine:
         return cls(rounds)
 
 
-class Open(Mine):
-    def __init__(self, rounds: int = 1, **options: float) -> None:
-        super().__init__(rounds)
+class Open:
+    def __init__(self, rounds: int = 1, **options: float) -> None: ...
 
 
 @dataclass
@@ -77,9 +67,8 @@ class Point:
     x: float = 0.0
 
 
-class Unchecked(Mine):
-    def __init__(self, rounds: Nothing = None) -> None:
-        super().__init__(1)
+class Unchecked:
+    def __init__(self, rounds: Nothing = None) -> None: ...
 
 
 NUMBER = 3

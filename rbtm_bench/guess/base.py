@@ -27,7 +27,7 @@ class Guess(ABC):
         """Raise ``ConfigError`` if the data set lacks what this guess needs."""
         if self.needs_odometry and not dataset.has_odometry:
             raise ConfigError(
-                f"guess={type(self).__name__} needs odometry, which this data set "
+                f"the chosen guess ({type(self).__name__}) needs odometry, which this data set "
                 f"({type(dataset).__name__}) does not have: use guess=constant_velocity"
             )
 
