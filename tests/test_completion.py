@@ -120,7 +120,9 @@ COMP_LINE="${COMP_WORDS[*]}"; COMP_POINT=${#COMP_LINE}
 hydra_bash_completion
 echo "${COMPREPLY[*]}"
 """
-    path = f"{script.parent}{os.pathsep}{os.environ['PATH']}"
+    # Hydra's bash script splits the program's path at spaces: call it by one without
+    (tmp_path / script.name).symlink_to(script)
+    path = f"{tmp_path}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
         [bash, "-c", commands],
         env={**os.environ, "PATH": path},
