@@ -65,6 +65,7 @@ def finish(
     """Table and verdict, what failed and what was left; the exit code."""
     runs = [folder for folder in folders if (folder / "run.json").is_file()]
     code = 0
+    _merge_pairs(out)
     if runs:
         try:
             print(summary.of_runs(out, runs))
@@ -78,12 +79,16 @@ def finish(
     return max(code, _report_failures(failed, len(folders)), 1 if left or not runs else 0)
 
 
+def _merge_pairs(out: Path) -> None:
+    """Fold the stores that workers wrote one by one (pairs.store=per_worker) into one."""
+    if list((out / "pairs").glob("pairs-*")):
+        from rbtm_bench.pairstore import merge
+
+        merge(out / "pairs")
+
+
 def _report_failures(failed: list[str], total: int) -> int:
-    if not failed:
-        return 0
-    print(f"{len(failed)} of {total} runs failed:", file=sys.stderr)
-    for line in failed[:10]:
-        print(f"  {line}", file=sys.stderr)
-    if len(failed) > 10:
-        print(f"  ... and {len(failed) - 10} more", file=sys.stderr)
-    return 1
+    """The summary lists them with their reasons."""
+    if failed:
+        print(f"rbtm-bench: {len(failed)} of {total} runs failed", file=sys.stderr)
+    return 1 if failed else 0

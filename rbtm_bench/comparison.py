@@ -19,6 +19,7 @@ from rbtm_bench.errors import RbtmBenchError
 from rbtm_bench.files import write_json
 from rbtm_bench.grid import Point
 from rbtm_bench.settings import Settings
+from rbtm_bench.workbench import own_workbench
 from rbtm_bench.worker import Supervisor
 
 Done = Callable[[str, dict[str, Any]], None]
@@ -142,11 +143,19 @@ def default_jobs() -> int:
 
 
 def placed(point: Point, out: Path) -> Settings:
-    """The point's settings with the folder of its gaps filled in, free to write into ``out``."""
-    config = {**point.settings.config, "overwrite": True}
+    """The point's settings with the folders of its gaps and of the pair store filled in, free to
+    write into ``out``."""
+    config = sharing(point.settings, out).config | {"overwrite": True}
     if point.gaps_of is not None:
         config["selector"] = {**config["selector"], "gaps_from": str(out / point.gaps_of)}
     return replace(point.settings, config=config)
+
+
+def sharing(settings: Settings, out: Path) -> Settings:
+    """Settings whose pair store, unless it has a folder, lies in the sweep's folder ``out``."""
+    pairs = settings.config["pairs"]
+    folder = pairs["folder"] or str((out / "pairs").resolve())
+    return replace(settings, config={**settings.config, "pairs": {**pairs, "folder": folder}})
 
 
 def run_one(
@@ -159,7 +168,12 @@ def run_one(
     except (OSError, RbtmBenchError) as error:
         return name, {"status": "failed", "reason": experiment.reason(error)}
     try:
-        return name, experiment.run(settings, out, progress)
+        bench = own_workbench(settings)
+        try:
+            return name, experiment.run(settings, out, progress, bench)
+        finally:
+            if bench is not None:
+                bench.flush()
     except (Exception, SystemExit) as error:
         return name, ended_by(error, settings, out, traceback.format_exc())
 

@@ -88,7 +88,7 @@ def rigidity_error(T: ArrayLike) -> float:
     if M.shape != (4, 4):
         return math.inf
     # plain floats: asked for every registration, and numpy's calls would cost more than the sums
-    (a, b, c, _), (d, e, f, _), (g, h, i, _), (k, m, n, w) = M.tolist()
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), (k, m, n, w) = M.tolist()
     off = max(
         abs(a * a + b * b + c * c - 1.0),
         abs(d * d + e * e + f * f - 1.0),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib.util
 import os
 import sys
 import threading
@@ -22,6 +23,13 @@ from rbtm_bench.progress import RunBar
 from rbtm_bench.settings import Settings, composed, composing, from_hydra, parsed
 from rbtm_bench.sweeps import Asked
 from rbtm_bench.worker import Supervisor, own_supervisor
+
+LAUNCHERS = {
+    "ray": ("hydra_plugins.hydra_ray_launcher", "ray"),
+    "slurm": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
+    "submitit": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
+}
+"""How names of launchers begin that are not always there: their module, and the extra to install."""
 
 POLL_S = 0.5
 """How often the bar looks for runs that have ended."""
@@ -48,13 +56,18 @@ class Plan:
                 raise ConfigError(f"{word}: out=DIR names a sweep's folder; its runs are numbered")
         hydra_words = [word for word in overrides if word.startswith("hydra")]
         task = [word for word in overrides if word not in hydra_words]
+        _require_launcher(hydra_words)
         with composing(extra_dirs) as extra:
-            node = composed([*hydra_words, *extra]).hydra
-            fixed = _fixed(node.sweeper)
+            experiment = [word for word in task if _key(word) == "experiment"]
+            node = composed([*hydra_words, *experiment, *extra]).hydra
+            fixed = _fixed(node.sweeper, {_key(word) for word in task})
             found = None if fixed is None else _product([*fixed, *task])
+        words = [*extra, *overrides]
+        if fixed is not None and node.sweeper.params:  # those of them that still count, as words
+            words = [*extra, *fixed, *overrides, "hydra.sweeper.params=null"]
         settings = values_beside_first([*(fixed or []), *task], extra_dirs)
         alone = str(node.launcher.get("_target_")).endswith(".BasicLauncher")
-        return cls(settings, found, [*extra, *overrides], alone)
+        return cls(settings, found, words, alone)
 
     def check_data(self, asked: Asked) -> None:
         """Open all data in a child, which does the runs as well where this is the one process.
@@ -79,11 +92,28 @@ class Plan:
         ]
 
 
-def _fixed(sweeper: DictConfig) -> list[str] | None:
-    """The words that Hydra's own sweeper adds from its config; None for another sweeper."""
+def _fixed(sweeper: DictConfig, given: set[str]) -> list[str] | None:
+    """The words that Hydra's own sweeper adds from its config, an experiment's lists, but for keys
+    that are given; None for another sweeper."""
     if not str(sweeper.get("_target_")).endswith(".BasicSweeper"):
         return None
-    return [f"{key}={value}" for key, value in (sweeper.get("params") or {}).items()]
+    params = (sweeper.get("params") or {}).items()
+    return [f"{key}={value}" for key, value in params if _key(str(key)) not in given]
+
+
+def _key(word: str) -> str:
+    return word.partition("=")[0].lstrip("+~")
+
+
+def _require_launcher(words: list[str]) -> None:
+    """Raise ``ConfigError`` naming the extra to install if the launcher's package is missing."""
+    for word in words:
+        key, _, name = word.partition("=")
+        for start, (module, extra) in LAUNCHERS.items():
+            if key != "hydra/launcher" or not name.startswith(start):
+                continue
+            if importlib.util.find_spec(module) is None:
+                raise ConfigError(f"{word}: not installed: pip install 'rbtm-bench[{extra}]'")
 
 
 def _product(words: list[str]) -> list[list[str]]:
@@ -134,6 +164,7 @@ def _run(cfg: DictConfig, hydra_cfg: Any, out: Path, asked: Asked) -> dict[str, 
     if sweeps.is_finished(out, settings):
         return sweeps.stored(out)
     sweeps.clear([out])
+    settings = comparison.sharing(settings, Path(hydra_cfg.sweep.dir))
     settings = replace(settings, config={**settings.config, "overwrite": True})
     cwd = Path(asked.cwd)
     supervisor = own_supervisor(cwd if cwd.is_dir() else None, asked.command)

@@ -54,14 +54,27 @@ def packages() -> dict[str, str | None]:
 
 
 def versions_of(requires: tuple[str, ...]) -> dict[str, str | None]:
-    """Versions of what makes a registration: a backend's packages, and what we evaluate with."""
-    found: dict[str, str | None] = {"rbtm_bench": __version__}
+    """What a registration's last bits depend on: the backend's packages, what we evaluate with,
+    and the processor, whose instructions the libraries choose by."""
+    found: dict[str, str | None] = {"rbtm_bench": __version__, "cpu": processor()}
     for module in ("numpy", "scipy", *requires):
         try:
             found[module] = version(module.replace("_", "-"))
         except PackageNotFoundError:
             found[module] = None
     return found
+
+
+def processor() -> str:
+    """The processor's model, as the system names it."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
+            for line in file:
+                if line.startswith("model name"):
+                    return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
 
 
 def git_hash() -> str | None:

@@ -148,7 +148,7 @@ def row(run: Run, varied: str = "", data: str = "") -> dict[str, Any]:
         "seed": run.record.get("seed"),
         "scans": run.record.get("scans"),
         "seconds": run.record.get("seconds"),
-        **run.metrics,
+        **(run.metrics if run.done else {}),
     }
     ordered = {key: values.get(key) for key in FIRST}
     ordered.update({key: value for key, value in values.items() if key not in ordered})

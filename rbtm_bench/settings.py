@@ -15,7 +15,7 @@ import re
 import typing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Gt
 from hydra import compose, initialize_config_dir
@@ -26,17 +26,28 @@ from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from pydantic import TypeAdapter, ValidationError
+from typing_extensions import TypedDict
 
 from rbtm_bench.errors import ConfigError
 
 PLUGIN_GROUPS = ("dataset", "backend", "similarity", "selector", "guess", "check", "target")
 GROUPS = (*PLUGIN_GROUPS, "metrics")
 
+
+class Pairs(TypedDict):
+    """The settings of ``pairs``."""
+
+    store: Literal["off", "shared", "per_worker"]
+    folder: str | None
+    memory_mb: Annotated[float, Gt(0)]
+
+
 SHARED = (
     ("seed", Annotated[int, Ge(0)]),
     ("out", str | None),
     ("overwrite", bool),
     ("pictures", bool),
+    ("pairs", Pairs),
     ("pin", bool),
     ("time_limit", Annotated[float, Gt(0)] | None),
     ("map_resolution", Annotated[float, Gt(0)]),

@@ -7,11 +7,13 @@ they can, with the same bits. One data set is kept at a time; memory is bounded 
 
 from __future__ import annotations
 
+import atexit
 import json
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -98,6 +100,11 @@ class Workbench:
         )
         return experiment.Parts(dataset, method, experiment.build_metrics(config))
 
+    def flush(self) -> None:
+        """Let other processes see what this one has computed."""
+        if self.store is not None:
+            self.store.flush()
+
     def _once(self, kind: str, node: Any, make: Callable[[], T]) -> T:
         key = f"{kind} {_key(node)}"
         if key not in self._shared:
@@ -145,6 +152,37 @@ class Workbench:
             return guess
         node = [config["guess"], config["backend"] if guess.needs_backend else None]
         return self._once("guess", node, lambda: SharedGuess(guess, self.bytes * SHARES["guesses"]))
+
+
+_own: tuple[tuple[Any, ...], Workbench] | None = None
+
+
+def own_workbench(settings: Settings) -> Workbench | None:
+    """This process's workbench for the pair store that the settings name, kept between runs.
+
+    None where nothing is to be shared: ``pairs.store=off``, or no folder for the store.
+    """
+    global _own
+    pairs = settings.config["pairs"]
+    if pairs["store"] == "off" or pairs["folder"] is None:
+        return None
+    wanted = (pairs["folder"], pairs["store"], pairs["memory_mb"])
+    if _own is None or _own[0] != wanted:
+        close_own()
+        store = PairStore(Path(pairs["folder"]), pairs["store"])
+        _own = (wanted, Workbench(store, pairs["memory_mb"]))
+    return _own[1]
+
+
+def close_own() -> None:
+    """Write what this process's workbench has not written yet, and forget it."""
+    global _own
+    if _own is not None and _own[1].store is not None:
+        _own[1].store.close()
+    _own = None
+
+
+atexit.register(close_own)
 
 
 class SharedDataset(Dataset):
@@ -226,7 +264,7 @@ class SharedBackend(Backend):
             )
             self._results.put(key, again, RESULT_BYTES)
         if isinstance(outcome, BackendError):
-            raise outcome
+            raise BackendError(str(outcome))  # a new one: a raised error keeps its frames alive
         return outcome
 
     def _stored_or_new(
@@ -248,7 +286,7 @@ class SharedBackend(Backend):
         try:
             return self._backend.register(source, target, T_target_source)
         except BackendError as error:
-            return error
+            return error.with_traceback(None)
 
 
 class SharedSimilarity(Similarity):
@@ -280,10 +318,15 @@ class SharedSimilarity(Similarity):
 
     def scores(self, window: Descriptor, descriptor: Descriptor) -> Array:
         scan, first, last = int(descriptor[0]), int(window[0, 0]), int(window[-1, 0])
-        if last - first + 1 == len(window) and scan - first <= self._band.shape[1]:
+        in_band = last < scan and scan - first <= self._band.shape[1]
+        if in_band and last - first + 1 == len(window):
             self.saved_seconds = self._score_seconds * len(window)
             return self._band[scan, scan - last - 1 : scan - first][::-1]
         return self._similarity.scores(self._descriptors[window[:, 0]], self._descriptors[scan])
+
+    def pairwise(self, rows: Descriptor, columns: Descriptor) -> Array:
+        known = self._descriptors
+        return self._similarity.pairwise(known[rows[:, 0]], known[columns[:, 0]])
 
 
 class SharedGuess(Guess):

@@ -130,3 +130,12 @@ def test_a_tiny_memory_changes_no_bit() -> None:
 def test_every_time_of_a_step_is_exempt_from_the_comparison() -> None:
     names = {field.name for field in dataclasses.fields(StepRecord)}
     assert {name for name in names if name.startswith("t_")} == set(TIMES)
+
+
+def test_matrices_for_pictures_are_the_same_bits() -> None:
+    settings = compose_settings([SCANS, *METHODS["odometry"]])
+    plain, shared = experiment.instantiate(settings), Workbench().parts(settings)
+    scans, expected = experiment.similarity_matrix(plain.dataset, plain.method.similarity)
+    _, found = experiment.similarity_matrix(shared.dataset, shared.method.similarity)
+    assert len(scans) == 40
+    np.testing.assert_array_equal(found, expected)

@@ -20,7 +20,7 @@ COLUMNS = {
     "mean_gap": "scans; mean of scan - model over registered scans; steps",
     "mean_fitness": "share; mean fitness over registered scans; our evaluator",
     "ms_per_scan": "ms; mean time of prepare, describe, guess, select and register, evaluation of "
-    "the result excluded; a shared answer counts with the time it took when it was computed; steps",
+    "the result excluded, a shared answer counts with the time it took when it was computed; steps",
 }
 
 
