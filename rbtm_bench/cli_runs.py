@@ -144,9 +144,9 @@ def pin_unless_lifted(overrides: list[str]) -> None:
 
 def compare(words: list[str]) -> int:
     """``rbtm-bench compare``."""
+    options, overrides = parse("compare", COMPARE_HELP, words)
     from rbtm_bench import cli_session, comparison
 
-    options, overrides = parse("compare", COMPARE_HELP, words)
     jobs = options.jobs if options.jobs is not None else comparison.default_jobs()
     if jobs < 1:
         raise ConfigError(f"--jobs {jobs}: expected at least 1")
@@ -167,10 +167,11 @@ def _compare(asked: Asked, resumed: Path | None, jobs: int) -> int:
     for note in notes:
         print(note, file=sys.stderr)
     folders = [out / point.name for point in points]
+    rest = [point for point in points if not resumed or not _is_finished(point, out)]
     with comparison.make_crew(jobs, asked.command) as crew:
-        crew[0].call(comparison.check_data, points, pin=config["pin"])
+        if rest:
+            crew[0].call(comparison.check_data, rest, pin=config["pin"])
         with cli_session.claimed(asked, out):
-            rest = [p for p in points if not resumed or not _is_finished(p, out)]
             sweeps.clear(out / point.name for point in rest)
             failed: list[str] = []
             with run_bar(len(points), len(points) - len(rest)) as progress:
@@ -178,6 +179,7 @@ def _compare(asked: Asked, resumed: Path | None, jobs: int) -> int:
                 def done(name: str, record: dict[str, Any]) -> None:
                     if record["status"] != "done":
                         failed.append(f"{name}: {record['reason']}")
+                        sweeps.tell_unwritten(out / name, record)
                     progress.ended(name, record["status"] == "done")
 
                 left = comparison.run_points(
@@ -201,9 +203,9 @@ def refuse_to_overwrite(out: Path, config: dict[str, Any]) -> None:
 
 def sweep(words: list[str]) -> int:
     """``rbtm-bench sweep``: Hydra's multirun over supervised runs."""
+    options, overrides = parse("sweep", SWEEP_HELP, words)
     from rbtm_bench import cli_session
 
-    options, overrides = parse("sweep", SWEEP_HELP, words)
     if options.resume is not None:
         with cli_session.asked("sweep", words, options, overrides) as (asked, folder):
             return _sweep(asked, folder, resumed=True)
@@ -227,9 +229,10 @@ def _sweep(asked: Asked, out: Path | None, resumed: bool) -> int:
     out = out or Path(default_folder("sweeps"))
     if not resumed:
         refuse_to_overwrite(out, config)
-    plan.check_data(asked)
+    whole = [p for p in sweeps.run_folders(out) if sweeps.is_whole(p)] if resumed else []
+    if plan.jobs is None or len(whole) < len(plan.jobs):
+        plan.check_data(asked)
     with cli_session.claimed(asked, out):
-        whole = [p for p in sweeps.run_folders(out) if resumed and sweeps.is_whole(p)]
         sweeps.clear(p for p in sweeps.run_folders(out) if p not in whole)
         reused = {folder.name for folder in whole}
         total = len(plan.jobs) if plan.jobs is not None else None

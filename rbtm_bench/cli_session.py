@@ -50,9 +50,8 @@ def claimed(asked: Asked, out: Path) -> Iterator[None]:
         try:
             yield
         except KeyboardInterrupt:
-            count = sum(sweeps.status(folder) == "done" for folder in sweeps.run_folders(out))
             print(
-                f"rbtm-bench: {count} finished runs stay; the rest: "
+                f"rbtm-bench: {sweeps.count_done(out)} finished runs stay; the rest: "
                 f"{sweeps.resume_command(asked.kind, out)}",
                 file=sys.stderr,
             )

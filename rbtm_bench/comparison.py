@@ -171,6 +171,10 @@ def run_one(
         bench = own_workbench(settings)
         try:
             return name, experiment.run(settings, out, progress, bench)
+        except BaseException:
+            if bench is not None:
+                bench.forget()
+            raise
         finally:
             if bench is not None:
                 bench.flush()

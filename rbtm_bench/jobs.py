@@ -6,7 +6,6 @@ import contextlib
 import functools
 import importlib.util
 import os
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -29,7 +28,7 @@ LAUNCHERS = {
     "slurm": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
     "submitit": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
 }
-"""How names of launchers begin that are not always there: their module, and the extra to install."""
+"""How launchers that may be missing are called: their module, and the extra to install."""
 
 POLL_S = 0.5
 """How often the bar looks for runs that have ended."""
@@ -58,16 +57,13 @@ class Plan:
         task = [word for word in overrides if word not in hydra_words]
         _require_launcher(hydra_words)
         with composing(extra_dirs) as extra:
-            experiment = [word for word in task if _key(word) == "experiment"]
+            experiment = [word for word in task if word.startswith("+experiment=")]
             node = composed([*hydra_words, *experiment, *extra]).hydra
-            fixed = _fixed(node.sweeper, {_key(word) for word in task})
+            fixed = _fixed(node.sweeper)
             found = None if fixed is None else _product([*fixed, *task])
-        words = [*extra, *overrides]
-        if fixed is not None and node.sweeper.params:  # those of them that still count, as words
-            words = [*extra, *fixed, *overrides, "hydra.sweeper.params=null"]
         settings = values_beside_first([*(fixed or []), *task], extra_dirs)
         alone = str(node.launcher.get("_target_")).endswith(".BasicLauncher")
-        return cls(settings, found, words, alone)
+        return cls(settings, found, [*extra, *overrides], alone)
 
     def check_data(self, asked: Asked) -> None:
         """Open all data in a child, which does the runs as well where this is the one process.
@@ -77,7 +73,9 @@ class Plan:
         points = [Point(str(number), settings) for number, settings in enumerate(self.settings)]
         pin = bool(self.settings[0].config["pin"])
         if self.one_process:
-            own_supervisor(argv=asked.command).call(comparison.check_data, points, pin=pin)
+            own_supervisor(_place(asked), asked.command).call(
+                comparison.check_data, points, pin=pin
+            )
         else:
             with Supervisor() as supervisor:
                 supervisor.call(comparison.check_data, points, pin=pin)
@@ -92,17 +90,11 @@ class Plan:
         ]
 
 
-def _fixed(sweeper: DictConfig, given: set[str]) -> list[str] | None:
-    """The words that Hydra's own sweeper adds from its config, an experiment's lists, but for keys
-    that are given; None for another sweeper."""
+def _fixed(sweeper: DictConfig) -> list[str] | None:
+    """The words that Hydra's own sweeper adds from its config; None for another sweeper."""
     if not str(sweeper.get("_target_")).endswith(".BasicSweeper"):
         return None
-    params = (sweeper.get("params") or {}).items()
-    return [f"{key}={value}" for key, value in params if _key(str(key)) not in given]
-
-
-def _key(word: str) -> str:
-    return word.partition("=")[0].lstrip("+~")
+    return [f"{key}={value}" for key, value in (sweeper.get("params") or {}).items()]
 
 
 def _require_launcher(words: list[str]) -> None:
@@ -142,8 +134,7 @@ def run_job(cfg: DictConfig) -> None:
         if asked.fail_fast:
             with contextlib.suppress(OSError):
                 (folder / sweeps.STOP).touch()
-        if sweeps.status(out) != "failed":
-            print(f"rbtm-bench: {out}: {record['reason']}", file=sys.stderr)
+        sweeps.tell_unwritten(out, record)
 
 
 def _run(cfg: DictConfig, hydra_cfg: Any, out: Path, asked: Asked) -> dict[str, Any]:
@@ -166,11 +157,15 @@ def _run(cfg: DictConfig, hydra_cfg: Any, out: Path, asked: Asked) -> dict[str, 
     sweeps.clear([out])
     settings = comparison.sharing(settings, Path(hydra_cfg.sweep.dir))
     settings = replace(settings, config={**settings.config, "overwrite": True})
-    cwd = Path(asked.cwd)
-    supervisor = own_supervisor(cwd if cwd.is_dir() else None, asked.command)
+    supervisor = own_supervisor(_place(asked), asked.command)
     part = functools.partial(_bar.part, out.name) if _bar else None
     limit = settings.config["time_limit"]
     return supervisor.run(out.name, settings, out, limit, part)
+
+
+def _place(asked: Asked) -> Path | None:
+    """Where the sweep's relative paths begin, unless that is not to be found here."""
+    return Path(asked.cwd) if Path(asked.cwd).is_dir() else None
 
 
 @functools.cache

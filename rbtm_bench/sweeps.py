@@ -13,6 +13,7 @@ import json
 import os
 import platform
 import shlex
+import sys
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
@@ -192,6 +193,12 @@ def status(folder: Path) -> str | None:
     return stored(folder).get("status")
 
 
+def tell_unwritten(folder: Path, record: dict[str, Any]) -> None:
+    """Say why a run failed where its folder cannot: on a full disk."""
+    if status(folder) != "failed":
+        print(f"rbtm-bench: {folder}: {record['reason']}", file=sys.stderr)
+
+
 def is_whole(folder: Path) -> bool:
     """True if a run is done and its files are all there: a power cut may have emptied some."""
     import pyarrow as pa
@@ -247,10 +254,15 @@ def clear_partial(folder: Path) -> None:
 
 
 def run_folders(out: Path) -> list[Path]:
-    """The folders in a sweep's folder, by number."""
+    """The folders of a sweep's jobs, by number."""
     with os.scandir(out) as entries:
-        names = [entry.name for entry in entries if entry.is_dir() and entry.name[0] != "."]
-    return [out / name for name in sorted(names, key=_by_number)]
+        numbers = [int(entry.name) for entry in entries if entry.name.isdigit()]
+    return [out / str(number) for number in sorted(numbers)]
+
+
+def count_done(out: Path) -> int:
+    """Runs below a sweep's or comparison's folder that are done."""
+    return sum(status(path.parent) == "done" for path in out.glob("*/run.json"))
 
 
 def failures(folders: Iterable[Path]) -> list[str]:
@@ -263,7 +275,3 @@ def failures(folders: Iterable[Path]) -> list[str]:
         elif record.get("status") == "started":
             lines.append(f"{folder.name}: did not end")
     return lines
-
-
-def _by_number(name: str) -> tuple[int, str]:
-    return (int(name) if name.isdigit() else 0, name)

@@ -105,6 +105,11 @@ class Workbench:
         if self.store is not None:
             self.store.flush()
 
+    def forget(self) -> None:
+        """Start anew: after a failed run the plug-ins that it used may be in any state."""
+        self._shared.clear()
+        self._data_key = ""
+
     def _once(self, kind: str, node: Any, make: Callable[[], T]) -> T:
         key = f"{kind} {_key(node)}"
         if key not in self._shared:

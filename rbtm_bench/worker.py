@@ -78,10 +78,11 @@ class Child:
     lifeline: IO[bytes]
     crash: IO[bytes]
     pin: bool
+    cwd: Path
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     @classmethod
-    def start(cls, pin: bool, cwd: Path | None) -> Child:
+    def start(cls, pin: bool, cwd: Path) -> Child:
         """Start a child and wait until it is ready. Raises ``ChildError`` if that fails."""
         channel, theirs = Pipe()
         heard, lifeline = os.pipe()
@@ -102,7 +103,7 @@ class Child:
         finally:
             theirs.close()
             os.close(heard)
-        child = cls(process, channel, os.fdopen(lifeline, "wb"), crash, pin)
+        child = cls(process, channel, os.fdopen(lifeline, "wb"), crash, pin, cwd)
         try:
             child.receive(time.monotonic() + START_S)
         except BaseException as error:
@@ -134,8 +135,8 @@ class Child:
         try:
             how = os.WEXITED | os.WNOHANG | os.WNOWAIT
             return os.waitid(os.P_PID, self.process.pid, how) is not None
-        except ChildProcessError:  # another thread has just collected it
-            return True
+        except ChildProcessError:
+            return True  # another thread has just collected it
 
     def _post_mortem(self) -> ChildError:
         """What the child died of; the socket may close a little before the process ends."""
@@ -173,7 +174,7 @@ class Supervisor:
     def __init__(self, cwd: Path | None = None, argv: Sequence[str] | None = None) -> None:
         """``cwd``: the folder that the child works in; ``argv``: the command that its runs note
         down. None: those of this process."""
-        self._cwd, self._argv = cwd, argv
+        self.cwd, self.argv = cwd, argv
         self._child: Child | None = None
         self._stopped = False
 
@@ -219,19 +220,19 @@ class Supervisor:
         progress: Progress | None = None,
     ) -> Any:
         """Hand over a job and wait for the answer. Without an answer the child is gone."""
-        argv = list(sys.argv if self._argv is None else self._argv)
+        message = (*job, list(self.argv or sys.argv), progress is not None)
         try:
-            child = self._begin(pickle.dumps((*job, argv, progress is not None)), pin)
+            child = self._begin(pickle.dumps(message), pin)
             deadline = None if time_limit is None else time.monotonic() + time_limit
-            while (message := child.receive(deadline))[0] == "progress":
+            while (reply := child.receive(deadline))[0] == "progress":
                 if progress is not None:
-                    progress(*message[1])
+                    progress(*reply[1])
         except BaseException as error:
             self._drop()
             if self._stopped and isinstance(error, ChildError):
                 raise StoppedError("stopped") from None
             raise
-        kind, answer = message
+        kind, answer = reply
         if kind == "raised":
             raise answer
         return answer
@@ -251,11 +252,12 @@ class Supervisor:
         raise AssertionError("two tries end in a return or an error")
 
     def _living(self, pin: bool) -> Child:
-        """The child; a new one if there is none, or where this run is pinned and it is not."""
-        if self._child is not None and self._child.pin != pin:
+        """The child; a new one if there is none, or none that is pinned and placed like this."""
+        cwd = self.cwd or Path.cwd()
+        if self._child is not None and (self._child.pin, self._child.cwd) != (pin, cwd):
             self.close()
         if self._child is None:
-            self._child = Child.start(pin, self._cwd)
+            self._child = Child.start(pin, cwd)
         if self._stopped:
             raise StoppedError("stopped")
         return self._child
@@ -269,8 +271,7 @@ class Supervisor:
     def kill(self) -> None:
         """End the child at once and start no other; from any thread."""
         self._stopped = True
-        child = self._child
-        if child is not None:
+        if (child := self._child) is not None:
             child.kill()
 
     def close(self) -> None:
@@ -293,8 +294,9 @@ def own_supervisor(cwd: Path | None = None, argv: Sequence[str] | None = None) -
     """This process's own supervisor, made when first asked for and closed at exit."""
     pid = os.getpid()  # a forked process does not own its parent's
     if pid not in _own:
-        _own[pid] = Supervisor(cwd, argv)
+        _own[pid] = Supervisor()
         atexit.register(_own[pid].close)
+    _own[pid].cwd, _own[pid].argv = cwd, argv
     return _own[pid]
 
 
@@ -306,8 +308,7 @@ def cause_of_death(code: int) -> str:
         name = signal.Signals(-code).name
     except ValueError:
         name = "unknown"
-    hint = "; perhaps out of memory" if -code == signal.SIGKILL else ""
-    return f"signal {-code} ({name}{hint})"
+    return f"signal {-code} ({name}{'; perhaps out of memory' if name == 'SIGKILL' else ''})"
 
 
 def _scratch_file() -> IO[bytes]:

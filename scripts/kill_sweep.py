@@ -22,7 +22,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from rbtm_bench.sweeps import FILE, run_folders, status
+from rbtm_bench.sweeps import FILE, status
 
 WORDS = (
     "backend=none,open3d_p2p",
@@ -96,8 +96,7 @@ class Trial:
         if code is not None:
             self.check(out, code)
             return
-        statuses = [status(folder) for folder in run_folders(out)] if out.is_dir() else []
-        begun = [one for one in statuses if one]
+        begun = [status(path.parent) for path in out.glob("*/run.json")]
         self.killed["during" if "started" in begun else "between" if begun else "before"] += 1
 
     def check(self, out: Path, code: int) -> None:

@@ -235,6 +235,18 @@ def test_own_supervisor_is_one_a_process() -> None:
     assert own_supervisor() is own_supervisor()
 
 
+def test_a_child_works_where_its_parent_does(
+    supervisor: Supervisor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert supervisor.call(os.getcwd) == os.getcwd()
+    monkeypatch.chdir(tmp_path)
+    assert supervisor.call(os.getcwd) == str(tmp_path)
+    with Supervisor(TESTS, ["rbtm-bench", "sweep"]) as placed:
+        assert placed.call(os.getcwd) == str(TESTS)
+        record = placed.run("a", settings(), tmp_path / "a")
+    assert record["command"] == "rbtm-bench sweep"
+
+
 def test_causes_of_death() -> None:
     assert cause_of_death(3) == "exit code 3"
     assert cause_of_death(-11) == "signal 11 (SIGSEGV)"
