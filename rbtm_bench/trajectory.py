@@ -68,7 +68,7 @@ class PoseChain:
         """
         if self._poses:
             raise RunError(f"scan {scan_index} cannot start a chain that has already started")
-        T = np.eye(4) if T_world_scan is None else np.asarray(T_world_scan, dtype=float)
+        T = np.eye(4) if T_world_scan is None else np.array(T_world_scan, dtype=float)
         if not is_rigid(T):
             raise RunError(f"the first pose, of scan {scan_index}, is not a rigid motion")
         return self._set(scan_index, T)

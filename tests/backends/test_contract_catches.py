@@ -104,7 +104,7 @@ WRONG = {
     ("similarity", "all_knowing"): (
         "test_a_scan_without_returns_has_no_score",
         "rbtm_bench.similarity.curvature_circular.CurvatureCircular",
-        "def pairwise(self, a, b): return np.nan_to_num(super().pairwise(a, b))",
+        "def pair_scores(self, a, b): return np.nan_to_num(super().pair_scores(a, b))",
     ),
     ("similarity", "lopsided"): (
         "test_scores_are_symmetric",
