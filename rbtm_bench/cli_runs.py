@@ -253,6 +253,7 @@ def _sweep(asked: Asked, out: Path | None, resumed: bool) -> int:
 
 def _launch(words: list[str], out: Path) -> str | None:
     """Let Hydra launch the jobs; what its launcher ended by, if it did not get through."""
+    from rbtm_bench import sweeps
     from rbtm_bench.errors import RbtmBenchError
     from rbtm_bench.experiment import reason
 
@@ -262,7 +263,9 @@ def _launch(words: list[str], out: Path) -> str | None:
     except RbtmBenchError:
         raise
     except Exception as error:  # a worker that was killed, a disk that is full
+        sweeps.check_ctrl_c()
         return reason(error)
+    sweeps.check_ctrl_c()
     return None
 
 

@@ -48,7 +48,8 @@ def claimed(asked: Asked, out: Path) -> Iterator[None]:
         asked.write(out)
         (out / sweeps.STOP).unlink(missing_ok=True)
         try:
-            yield
+            with sweeps.minding_ctrl_c():
+                yield
         except KeyboardInterrupt:
             print(
                 f"rbtm-bench: {sweeps.count_done(out)} finished runs stay; the rest: "

@@ -121,6 +121,7 @@ def run_job(cfg: DictConfig) -> None:
     other is done in a child of this process. Never raises but for Ctrl-C."""
     from hydra.core.hydra_config import HydraConfig
 
+    sweeps.check_ctrl_c()
     hydra_cfg = HydraConfig.get()
     folder, out = Path(hydra_cfg.sweep.dir), Path(hydra_cfg.runtime.output_dir)
     asked = Asked.read(folder)
@@ -146,6 +147,7 @@ def _run(cfg: DictConfig, hydra_cfg: Any, out: Path, asked: Asked) -> dict[str, 
     try:
         settings = from_hydra(full, words)
     except ConfigError as error:
+        sweeps.check_ctrl_c()
         plain = OmegaConf.to_container(cfg, resolve=False)
         assert isinstance(plain, dict)
         choices = {str(k): str(v) for k, v in hydra_cfg.runtime.choices.items()}

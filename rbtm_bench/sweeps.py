@@ -13,7 +13,9 @@ import json
 import os
 import platform
 import shlex
+import signal
 import sys
+import threading
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
@@ -169,6 +171,39 @@ def at_work(folder: Path, alone: bool = True) -> Iterator[None]:
                 time.sleep(0.1)
             _lock(fd, fcntl.LOCK_SH)
         yield
+
+
+_ctrl_c = threading.Event()
+
+
+def check_ctrl_c() -> None:
+    """Raise ``KeyboardInterrupt`` if it was raised before and got lost: inside Hydra and OmegaConf
+    it may come out as an error of theirs."""
+    if _ctrl_c.is_set():
+        raise KeyboardInterrupt
+
+
+@contextlib.contextmanager
+def minding_ctrl_c() -> Iterator[None]:
+    """Make Ctrl-C be noted as well as raised, for ``check_ctrl_c``, and end by it in any case."""
+
+    def note(number: int, frame: Any) -> None:
+        _ctrl_c.set()
+        raise KeyboardInterrupt
+
+    _ctrl_c.clear()
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not usual or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield
+    except Exception:
+        check_ctrl_c()
+        raise
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _lock(fd: int, how: int) -> bool:

@@ -407,6 +407,22 @@ def test_a_full_disk(tiny_disk: Path, command: str) -> None:
     assert {p: p.read_bytes() for p in before} == before
 
 
+def test_ctrl_c_is_not_lost_inside_a_library() -> None:
+    with pytest.raises(KeyboardInterrupt), sweeps.minding_ctrl_c():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise ValueError("an error of the library's own") from None
+    with pytest.raises(KeyboardInterrupt), sweeps.minding_ctrl_c():
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        sweeps.check_ctrl_c()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with pytest.raises(ValueError, match="own"), sweeps.minding_ctrl_c():
+        sweeps.check_ctrl_c()
+        raise ValueError("its own")
+
+
 # --- plan and bar
 
 
