@@ -17,10 +17,12 @@ repo=$(CDPATH='' cd -- "$(dirname -- "${BASH_SOURCE[0]}")/.." && pwd -P)
 cd -- "$repo"
 venv=$repo/.venv
 stamp=$venv/.setup-done # what the last finished set-up was made for: repository, hash, kind
+running='.[small-gicp]'
+testing='.[small-gicp,slurm,ray,dev]' # the launchers are tested for real
 kind=${1:-run}
 case $kind in
-    run) requirement=. ;;
-    dev) requirement='.[dev]' ;;
+    run) requirement=$running ;;
+    dev) requirement=$testing ;;
     *) fail "unknown kind \"$kind\"; usage: scripts/setup.sh [dev]" ;;
 esac
 hash=$(cat pyproject.toml constraints.txt | sha256sum | cut -d ' ' -f 1)
@@ -142,14 +144,14 @@ fi
 
 # A set-up that was cut short leaves no stamp, and what it left is not to be trusted.
 if $usable; then
-    [ "${have[2]:-}" = run ] || requirement='.[dev]' # once made for testing, it stays so
+    [ "${have[2]:-}" = run ] || requirement=$testing # once made for testing, it stays so
     rm -f -- "$stamp"
 else
     [ ! -e "$venv" ] && [ ! -L "$venv" ] || say "rebuilding .venv"
     rm -rf -- "$venv"
     "$python" -m venv "$venv"
 fi
-[ "$requirement" = . ] || kind=dev
+[ "$requirement" = "$running" ] || kind=dev
 say "installing Python packages into .venv (up to 1.9 GB; a minute or so)"
 install_python_packages || fail "installing the Python packages failed (the words are above)"
 "$venv/bin/python" -I -c 'import kiss_icp, open3d, rbtm_bench' ||
