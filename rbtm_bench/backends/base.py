@@ -56,7 +56,11 @@ class Prepared:
 
 @dataclass(frozen=True, eq=False)
 class Alignment:
-    """What a library says of one registration; None where it does not say."""
+    """What a library says of one registration; None where it does not say.
+
+    ``information`` is the (6, 6) information of a small motion d = (x, y, z, rx, ry, rz) in m and
+    rad of the source in its own frame, T_target_source exp(d), in 1/m^2, 1/rad^2 and between.
+    """
 
     T_target_source: Array
     converged: bool | None = None
@@ -76,6 +80,11 @@ class Backend(ABC):
     """What the method can register: planar scans ("2d"), clouds in space ("3d")."""
     is_baseline: bool = False
     """True for a method that hands back its guess: the contract does not expect it to be right."""
+    uses_guess: bool = True
+    """False for a global method, which looks at the whole space of motions whatever the guess."""
+    self_tolerance: float = 1e-6
+    """How far (m, rad) from no motion a scan registered to itself may end. More than 1e-6 only for
+    methods that do not compare points with points, but with cells, bins or averages of them."""
     saved_seconds: float = 0.0
     """What the last answer would have taken, had it not been shared; plug-ins leave it alone."""
 

@@ -201,6 +201,11 @@ def test_never_a_silent_guess(
     except Exception as error:
         pytest.fail(f"{kind} {side}: {type(error).__name__} ({error}): raise BackendError instead")
     moved = float(translation_norm(inverse(guess) @ result.T_target_source))
+    if kind == "far_apart" and not backend.uses_guess:
+        off = 1000.0 if side == "source" else -1000.0
+        truth = se3([-off, 0.5 * off, 0.0], np.eye(3))
+        if float(translation_norm(inverse(truth) @ result.T_target_source)) < 0.05:
+            return  # a global method may well find scans that lie far apart
     assert result.converged is False, (
         f"{kind} {side}: converged is {result.converged} and the result is {moved:.3f} m from the "
         "guess: expected BackendError or converged = False"

@@ -75,6 +75,8 @@ def test_the_guess_is_where_the_search_starts(registers: Backend, world: World) 
     source, target = world.pair(known)
     right = register(registers, source, target, known.guess).T_target_source
     assert_near(right, known.T_target_source, world, "from a guess near the truth")
+    if not registers.uses_guess:
+        return
     # the very same scans, with the target moved far away: only the guess tells
     moved = world.motions["turn"].T_target_source @ known.T_target_source
     shifted = transform(world.motions["turn"].T_target_source, target.points)
@@ -96,9 +98,11 @@ def test_identical_clouds_stay_where_they_are(backend: Backend, world: World) ->
     _, target = world.pair(world.motions["still"], 0.005)
     result = register(backend, target, target)
     off = float(np.abs(result.T_target_source - np.eye(4)).max())
-    assert off <= 1e-6, f"a scan registered to itself moves by {off:.2e}: expected at most 1e-6"
+    most = backend.self_tolerance
+    assert most <= 0.02, f"self_tolerance = {most:g}: more than 0.02 m or rad is no registration"
+    assert off <= most, f"a scan registered to itself moves by {off:.2e}: expected at most {most:g}"
     assert result.fitness == 1.0, f"a scan registered to itself has fitness {result.fitness}, not 1"
-    assert result.inlier_rmse <= 1e-6, (
+    assert result.inlier_rmse <= 5 * most, (
         f"a scan registered to itself has an inlier RMSE of {result.inlier_rmse:.2e} m, not 0"
     )
 

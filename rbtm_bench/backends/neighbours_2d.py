@@ -1,0 +1,64 @@
+"""Nearest neighbours among a few hundred planar points, compiled: a sweep along one axis.
+
+A laser scan has so few points that a k-d tree costs more to build than it saves. Sorted along the
+axis of larger spread, the nearest point is found by walking both ways until the axis alone is
+farther than the best so far. Compiled once and cached; callers compile by their first call.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from rbtm_bench.types import Array
+
+
+class Sorted2D(NamedTuple):
+    """Planar points sorted along ``axis`` (0: x, 1: y): ``xy`` (N, 2) m, and where each of them
+    came from (``index`` (N,))."""
+
+    xy: Array
+    index: NDArray[np.int64]
+    axis: int
+
+
+def sorted_2d(points: Array) -> Sorted2D:
+    """Points (N, 2) or (N, 3) m, by their x and y, ready for ``nearest_2d``."""
+    xy = np.ascontiguousarray(points[:, :2], dtype=np.float64)
+    axis = int(np.argmax(np.ptp(xy, axis=0))) if len(xy) else 0
+    index = np.argsort(xy[:, axis], kind="stable").astype(np.int64)
+    return Sorted2D(xy[index], index, axis)
+
+
+@njit(cache=True)  # type: ignore[untyped-decorator]
+def nearest_2d(points: Sorted2D, x: float, y: float, radius: float) -> tuple[int, float]:
+    """The place in ``points.xy`` of the point nearest to (x, y) m, and its distance in m; (-1,
+    inf) if none is nearer than ``radius`` m. Of several equally near ones, always the same."""
+    xy, axis = points.xy, points.axis
+    along = x if axis == 0 else y
+    low, high = 0, len(xy)
+    while low < high:
+        middle = (low + high) // 2
+        if xy[middle, axis] < along:
+            low = middle + 1
+        else:
+            high = middle
+    best, found = radius * radius, -1
+    up, down = low, low - 1
+    while up < len(xy) or down >= 0:
+        ahead = np.inf if up >= len(xy) else (xy[up, axis] - along) ** 2
+        behind = np.inf if down < 0 else (along - xy[down, axis]) ** 2
+        if min(ahead, behind) >= best:
+            break
+        place = up if ahead <= behind else down
+        if ahead <= behind:
+            up += 1
+        else:
+            down -= 1
+        square = (xy[place, 0] - x) ** 2 + (xy[place, 1] - y) ** 2
+        if square < best:
+            best, found = square, place
+    return found, (np.sqrt(best) if found >= 0 else np.inf)
