@@ -108,7 +108,10 @@ def instantiate(settings: Settings) -> Parts:
     config = settings.config
     dataset = build(config["dataset"])
     check_fit(settings, dataset)
-    method = Method(**{g: build(config[g]) for g in PLUGIN_GROUPS if g != "dataset"})
+    method = Method(
+        **{g: build(config[g]) for g in PLUGIN_GROUPS if g != "dataset"},
+        guess_along_degenerate=config["guess_along_degenerate"],
+    )
     return Parts(dataset, method, build_metrics(config))
 
 
@@ -242,6 +245,7 @@ def write_steps(path: Path, records: list[StepRecord]) -> None:
 
 def _step_columns(pa: Any) -> list[tuple[str, Any]]:
     kinds = {"int": pa.int64(), "float": pa.float64(), "str": pa.string(), "bool": pa.bool_()}
+    kinds["list[float]"] = pa.list_(pa.float64())
     annotations = StepRecord.__annotations__
     return [(name, kinds[str(kind).split(" ")[0]]) for name, kind in annotations.items()]
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.check.base import Check
+from rbtm_bench.degeneracy import remap, unseen
 from rbtm_bench.errors import BackendError
 from rbtm_bench.guess.base import Guess
 from rbtm_bench.selection.base import Candidate, Selection, Selector
@@ -31,6 +32,8 @@ class Method:
     guess: Guess
     check: Check
     target: Target
+    guess_along_degenerate: float | None = None
+    """Keep the guess along directions of less localizability than this; None: never."""
 
 
 def odometry(scans: Iterable[Scan], method: Method) -> Iterator[Step]:
@@ -126,6 +129,9 @@ def _register(
             record.registrations += 1
             started = time.perf_counter()
             result = method.backend.register(prepared, target, T_guess)
+            if method.guess_along_degenerate is not None:
+                record.kept_guess = unseen(result, method.guess_along_degenerate)
+                result = remap(result, T_guess, method.guess_along_degenerate)
             why_not = method.check.reject(result, T_guess)
             spent = time.perf_counter() - started - (0.0 if result.reused else result.seconds)
             record.t_register_s += result.seconds
@@ -155,6 +161,13 @@ def _record(record: StepRecord, candidate: Candidate, result: RegistrationResult
     record.fitness, record.inlier_rmse_m = result.fitness, result.inlier_rmse
     record.iterations, record.reused = result.iterations, result.reused
     record.library_fitness, record.library_rmse_m = result.library_fitness, result.library_rmse
+    if result.information is not None:
+        record.information = result.information.ravel().tolist()
+    if result.localizability is not None:
+        values, vectors = result.localizability.axes
+        record.localizability_min = float(values[0])
+        record.localizability = values.tolist()
+        record.weak_direction = vectors[:, 0].tolist()
 
 
 class _timed:  # noqa: N801 (reads as a word in a with statement)

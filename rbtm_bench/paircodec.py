@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rbtm_bench.errors import BackendError
-from rbtm_bench.types import RegistrationResult
+from rbtm_bench.types import Localizability, RegistrationResult
 
-FORMAT = 1
+FORMAT = 2
 """Version of keys, values and the table that holds them."""
 
 
@@ -89,10 +89,11 @@ def _canonical(value: object) -> bytes:
 
 
 _CHECKSUM = 8
-_HEAD = struct.Struct("<BBqqddddd")  # kind, flags, inliers, iterations, five floats
+_HEAD = struct.Struct("<BHqqddddd")  # kind, flags, inliers, iterations, five floats
 _RESULT, _ERROR = 0, 1
 _CONVERGED_GIVEN, _CONVERGED, _ITERATIONS, _FITNESS, _RMSE, _INFORMATION = 1, 2, 4, 8, 16, 32
 _T_COLUMNS, _INFORMATION_COLUMNS = 64, 128  # memory order: BLAS may round differently
+_PLANE, _SPACE, _LOCALIZABILITY_COLUMNS = 256, 512, 1024
 
 
 def pack(key: bytes, outcome: RegistrationResult | BackendError) -> bytes:
@@ -116,6 +117,12 @@ def pack(key: bytes, outcome: RegistrationResult | BackendError) -> bytes:
         more, by_columns = _array_bytes(r.information, 6)
         arrays += more
         flags |= _INFORMATION | (_INFORMATION_COLUMNS if by_columns else 0)
+    if r.localizability is not None:
+        side = 3 if len(r.localizability.matrix) == 3 else 6
+        more, by_columns = _array_bytes(r.localizability.matrix, side)
+        arrays += struct.pack("<d", r.localizability.lever) + more
+        flags |= _PLANE if side == 3 else _SPACE
+        flags |= _LOCALIZABILITY_COLUMNS if by_columns else 0
     library = [0.0 if x is None else x for x in (r.library_fitness, r.library_rmse)]
     floats = r.fitness, r.inlier_rmse, r.seconds, *library
     payload = _HEAD.pack(_RESULT, flags, r.inliers, r.iterations or 0, *floats) + arrays
@@ -129,13 +136,16 @@ def unpack(key: bytes, blob: object) -> RegistrationResult | BackendError:
         return BackendError(payload[1:].decode("utf-8", "surrogatepass"))
     _, flags, inliers, iterations, fitness, rmse, seconds, *library = _HEAD.unpack_from(payload)
     floats = np.frombuffer(payload, np.float64, offset=_HEAD.size)
-    T = floats[:16].reshape(4, 4)
-    information = None
+    T, rest = _matrix(floats, 4, flags & _T_COLUMNS), floats[16:]
+    information = localizability = None
     if flags & _INFORMATION:
-        information = floats[16:].reshape(6, 6)
-        information = (information.T if flags & _INFORMATION_COLUMNS else information).copy("K")
+        information, rest = _matrix(rest, 6, flags & _INFORMATION_COLUMNS), rest[36:]
+    if flags & (_PLANE | _SPACE):
+        side = 3 if flags & _PLANE else 6
+        matrix = _matrix(rest[1:], side, flags & _LOCALIZABILITY_COLUMNS)
+        localizability = Localizability(matrix, float(rest[0]))
     return RegistrationResult(
-        T_target_source=(T.T if flags & _T_COLUMNS else T).copy("K"),
+        T_target_source=T,
         converged=bool(flags & _CONVERGED) if flags & _CONVERGED_GIVEN else None,
         fitness=fitness,
         inlier_rmse=rmse,
@@ -145,7 +155,14 @@ def unpack(key: bytes, blob: object) -> RegistrationResult | BackendError:
         information=information,
         library_fitness=library[0] if flags & _FITNESS else None,
         library_rmse=library[1] if flags & _RMSE else None,
+        localizability=localizability,
     )
+
+
+def _matrix(floats: NDArray[np.float64], side: int, by_columns: int) -> NDArray[np.float64]:
+    """The square matrix at the start of floats, in its own memory order."""
+    matrix = floats[: side * side].reshape(side, side)
+    return (matrix.T if by_columns else matrix).copy("K")
 
 
 def _array_bytes(array: object, side: int) -> tuple[bytes, bool]:

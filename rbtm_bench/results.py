@@ -46,6 +46,8 @@ FIRST = (
     "fallbacks",
     "reused",
     "mean_gap",
+    "localizability",
+    "degenerate",
     "seconds",
     "ms_per_scan",
 )

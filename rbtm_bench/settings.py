@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Lt
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -51,6 +51,7 @@ SHARED = (
     ("pin", bool),
     ("time_limit", Annotated[float, Gt(0)] | None),
     ("map_resolution", Annotated[float, Gt(0)]),
+    ("guess_along_degenerate", Annotated[float, Gt(0), Lt(1)] | None),
 )
 """The settings outside every group, with their types."""
 

@@ -45,6 +45,7 @@ SHORT = (
     "rejected",
     "fallbacks",
     "mean_gap",
+    "degenerate",
     "ms_per_scan",
 )
 """The columns of the table at the end of ``compare``."""

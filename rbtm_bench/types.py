@@ -7,6 +7,7 @@ Units are metres, radians and seconds. Poses are 4x4 float64 and named by direct
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,27 @@ class Node:
 
 
 @dataclass(frozen=True, eq=False)
+class Localizability:
+    """How well a registration's matched points hold the motion, whatever the method.
+
+    ``matrix`` is the mean over inliers of j j^T with j = (n, p x n / lever): n the surface normal
+    at the matched target point, p the source point, both in the source's frame; (3, 3) for
+    x, y, rz in the plane, (6, 6) for x, y, z, rx, ry, rz in space. ``lever`` (m) is the inliers'
+    RMS range, which makes every entry a share: an eigenvalue is the part of the points that
+    oppose a motion along its eigenvector, 0 for a motion that the scan cannot see.
+    """
+
+    matrix: Array
+    lever: float
+
+    @cached_property
+    def axes(self) -> tuple[Array, Array]:
+        """Eigenvalues (D,), smallest first, and the unit eigenvectors (D, D) in columns."""
+        values, vectors = np.linalg.eigh(self.matrix)
+        return np.maximum(values, 0.0), vectors
+
+
+@dataclass(frozen=True, eq=False)
 class RegistrationResult:
     """What a backend found out about one pair of scans.
 
@@ -58,7 +80,9 @@ class RegistrationResult:
     ``inlier_rmse`` (m, NaN without inliers) come from our own evaluator, the same for every
     backend; the library's own values are kept beside as ``library_*`` where it has any.
     ``converged`` and ``iterations`` are None where the library does not say.
-    ``information`` is the 6x6 information matrix of the motion, where known.
+    ``information`` is the method's own (6, 6) information of the motion, where it gives one (see
+    ``Alignment``); ``localizability`` is ours, the same for all, None without 3 matched points
+    on surfaces.
     """
 
     T_target_source: Array
@@ -71,6 +95,7 @@ class RegistrationResult:
     information: Array | None = None
     library_fitness: float | None = None
     library_rmse: float | None = None
+    localizability: Localizability | None = None
     reused: bool = False
     """Not computed now but taken from memory or the pair store; ``seconds`` is what it took."""
 
@@ -94,6 +119,10 @@ class StepRecord:
     (no candidate, fallback "skip"), predicted (every candidate was rejected), unusable (the
     backend could not prepare the scan). ``gap`` is scan - model in scans of the data set.
     ``score`` is the similarity to the model scan, NaN if undefined or not asked for.
+    ``localizability`` holds the eigenvalues of ``Localizability``, smallest first (its smallest
+    also as ``localizability_min``), and ``weak_direction`` the eigenvector of the smallest: x, y,
+    rz or x, y, z, rx, ry, rz in the scan's frame. ``information`` is the method's own, row by
+    row; ``kept_guess`` counts the directions along which ``guess_along_degenerate`` kept the guess.
     """
 
     scan: int
@@ -113,6 +142,11 @@ class StepRecord:
     iterations: int | None = None
     library_fitness: float | None = None
     library_rmse_m: float | None = None
+    localizability_min: float | None = None
+    localizability: list[float] | None = None
+    weak_direction: list[float] | None = None
+    information: list[float] | None = None
+    kept_guess: int | None = None
     reused: bool | None = None
     t_prepare_s: float = 0.0
     t_describe_s: float = 0.0

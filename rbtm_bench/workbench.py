@@ -96,6 +96,7 @@ class Workbench:
             backend=backend,
             similarity=self._similarity(config, dataset, plain["selector"]),
             guess=self._guess(config),
+            guess_along_degenerate=config["guess_along_degenerate"],
             **plain,
         )
         return experiment.Parts(dataset, method, experiment.build_metrics(config))

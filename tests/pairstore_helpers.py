@@ -22,7 +22,7 @@ import numpy as np
 import rbtm_bench
 from rbtm_bench.errors import BackendError
 from rbtm_bench.pairstore import PairStore
-from rbtm_bench.types import RegistrationResult
+from rbtm_bench.types import Localizability, RegistrationResult
 
 SPAWN = multiprocessing.get_context("spawn")
 
@@ -47,6 +47,11 @@ def outcome(i: int) -> RegistrationResult | BackendError:
         information=rng.normal(size=(6, 6)) if i % 4 == 0 else None,
         library_fitness=None if i % 7 else 0.0,
         library_rmse=None if i % 3 else -0.0,
+        localizability=(
+            None,
+            Localizability(rng.normal(size=(3, 3)), rng.random()),
+            Localizability(rng.normal(size=(6, 6)), rng.random()),
+        )[i % 3],
     )
 
 
@@ -54,7 +59,7 @@ def bits(value: Any) -> Any:
     """A value as something whose equality is that of bits and types."""
     if isinstance(value, BackendError):
         return ("error", str(value))
-    if isinstance(value, RegistrationResult):
+    if isinstance(value, RegistrationResult | Localizability):
         return tuple(bits(getattr(value, f.name)) for f in dataclasses.fields(value))
     if isinstance(value, np.ndarray):
         order = value.flags.c_contiguous, value.flags.f_contiguous
@@ -123,7 +128,7 @@ from pathlib import Path
 import numpy as np
 from rbtm_bench.errors import BackendError
 from rbtm_bench.pairstore import PairStore
-from rbtm_bench.types import RegistrationResult
+from rbtm_bench.types import Localizability, RegistrationResult
 from hashlib import blake2b
 {inspect.getsource(key)}
 {inspect.getsource(outcome)}

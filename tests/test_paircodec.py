@@ -24,7 +24,7 @@ from pairstore_helpers import (
 from rbtm_bench.errors import BackendError
 from rbtm_bench.paircodec import DamageError, pack, unpack
 from rbtm_bench.pairstore import PairStore, context, pair_key
-from rbtm_bench.types import RegistrationResult
+from rbtm_bench.types import Localizability, RegistrationResult
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")  # a note that nobody expects
 
@@ -53,6 +53,7 @@ RESULTS = st.builds(
     information=st.none() | matrices(6),
     library_fitness=st.none() | FLOATS,
     library_rmse=st.none() | FLOATS,
+    localizability=st.none() | st.builds(Localizability, matrices(3) | matrices(6), FLOATS),
 )
 ERRORS = st.text().map(BackendError)
 
@@ -88,6 +89,7 @@ def test_every_field_of_a_result_is_kept() -> None:
     assert names == [
         *("T_target_source", "converged", "fitness", "inlier_rmse", "inliers", "iterations"),
         *("seconds", "information", "library_fitness", "library_rmse"),
+        "localizability",
     ]
 
 

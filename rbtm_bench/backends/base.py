@@ -7,7 +7,6 @@ result. A plug-in writes ``build`` and ``align``.
 
 from __future__ import annotations
 
-import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -18,6 +17,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from annotated_types import Ge, Gt
 
+from rbtm_bench.backends.evaluation import evaluate
+from rbtm_bench.backends.neighbours_2d import Sorted2D, sorted_2d
 from rbtm_bench.errors import BackendError
 from rbtm_bench.geometry import is_rigid, to_plane, transform, voxel_downsample
 from rbtm_bench.types import Array, RegistrationResult, Scan
@@ -27,6 +28,8 @@ MIN_POINTS = 6
 MIN_INLIERS = 3
 """With fewer inliers a plane motion is not determined: never called converged."""
 
+OUT_OF_PLANE = [2, 3, 4]
+"""z, rx and ry among x, y, z, rx, ry, rz."""
 
 TargetKey = tuple[tuple[int, bytes | None], ...]
 """The scans that a prepared cloud holds: their numbers, and for merged ones where they lie."""
@@ -48,10 +51,15 @@ class Prepared:
 
     @cached_property
     def tree(self) -> Any:
-        """Nearest-neighbour tree of the points, for the evaluator."""
+        """Nearest-neighbour tree of a cloud's points, for the evaluator."""
         from scipy.spatial import cKDTree
 
-        return cKDTree(self.points[:, :2] if self.planar else self.points)
+        return cKDTree(self.points)
+
+    @cached_property
+    def sorted(self) -> Sorted2D:
+        """The same for planar points."""
+        return sorted_2d(self.points)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,22 +155,30 @@ class Backend(ABC):
         T = np.array(alignment.T_target_source, dtype=np.float64)
         if not is_rigid(T, tolerance=1e-5):
             raise BackendError(f"{type(self).__name__} returned no rigid motion")
+        information = alignment.information
+        if information is not None:
+            information = np.array(information, dtype=np.float64)
+            if information.shape != (6, 6):
+                raise BackendError(f"information {information.shape}: expected (6, 6)")
         if source.planar and target.planar:
             T = to_plane(T)
+            if information is not None:
+                information[OUT_OF_PLANE], information[:, OUT_OF_PLANE] = 0.0, 0.0
         # a library's own kind of bool would not be the `False` that checks look for
         converged = None if alignment.converged is None else bool(alignment.converged)
-        fitness, rmse, inliers = evaluate(source, target, T, self.max_correspondence_distance)
+        found = evaluate(source, target, T, self.max_correspondence_distance)
         return RegistrationResult(
             T_target_source=T,
-            converged=False if inliers < MIN_INLIERS else converged,
-            fitness=fitness,
-            inlier_rmse=rmse,
-            inliers=inliers,
+            converged=False if found.inliers < MIN_INLIERS else converged,
+            fitness=found.fitness,
+            inlier_rmse=found.inlier_rmse,
+            inliers=found.inliers,
             iterations=alignment.iterations,
             seconds=seconds,
-            information=alignment.information,
+            information=information,
             library_fitness=alignment.library_fitness,
             library_rmse=alignment.library_rmse,
+            localizability=found.localizability,
         )
 
     def _prepared(self, points: Array, planar: bool, key: TargetKey, started: float) -> Prepared:
@@ -172,21 +188,3 @@ class Backend(ABC):
             )
         native = self.build(points, planar)
         return Prepared(points, planar, native, key, time.perf_counter() - started)
-
-
-def evaluate(
-    source: Prepared, target: Prepared, T_target_source: Array, radius: float
-) -> tuple[float, float, int]:
-    """Fitness, inlier RMSE (m) and inlier count: the same for every backend.
-
-    A source point is an inlier if its nearest target point is within ``radius`` m. Fitness is
-    the share of inliers among source points (as in Open3D's ``evaluate_registration``).
-    """
-    moved = transform(T_target_source, source.points)
-    if target.planar:
-        moved = np.ascontiguousarray(moved[:, :2])
-    distance, _ = target.tree.query(moved, distance_upper_bound=radius)  # inf beyond the radius
-    inlier = distance[distance < np.inf]
-    count = len(inlier)
-    rmse = math.sqrt(np.dot(inlier, inlier) / count) if count else math.nan
-    return count / len(moved), rmse, count

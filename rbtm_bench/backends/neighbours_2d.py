@@ -18,10 +18,10 @@ from rbtm_bench.types import Array
 
 class Sorted2D(NamedTuple):
     """Planar points sorted along ``axis`` (0: x, 1: y): ``xy`` (N, 2) m, and where each of them
-    came from (``index`` (N,))."""
+    came from (``original`` (N,))."""
 
     xy: Array
-    index: NDArray[np.int64]
+    original: NDArray[np.int64]
     axis: int
 
 
@@ -33,7 +33,7 @@ def sorted_2d(points: Array) -> Sorted2D:
     return Sorted2D(xy[index], index, axis)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def nearest_2d(points: Sorted2D, x: float, y: float, radius: float) -> tuple[int, float]:
     """The place in ``points.xy`` of the point nearest to (x, y) m, and its distance in m; (-1,
     inf) if none is nearer than ``radius`` m. Of several equally near ones, always the same."""

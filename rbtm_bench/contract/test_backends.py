@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rbtm_bench.backends.base import Backend, evaluate
+from rbtm_bench.backends.base import Backend
+from rbtm_bench.backends.evaluation import evaluate
 from rbtm_bench.contract.scene import World
 from rbtm_bench.geometry import inverse, rotation_angle, transform, translation_norm
 from rbtm_bench.types import Array, RegistrationResult, Scan

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rbtm_bench.degeneracy import DEGENERATE
 from rbtm_bench.metrics.base import Values
 from rbtm_bench.types import StepRecord
 
@@ -19,6 +20,8 @@ COLUMNS = {
     "reused": "share; accepted registrations that were taken from memory or the pair store; steps",
     "mean_gap": "scans; mean of scan - model over registered scans; steps",
     "mean_fitness": "share; mean fitness over registered scans; our evaluator",
+    "localizability": "share; median of the smallest eigenvalue over registered scans; evaluator",
+    "degenerate": f"share; registered scans whose smallest eigenvalue is < {DEGENERATE}; evaluator",
     "ms_per_scan": "ms; mean time of prepare, describe, guess, select and register, evaluation of "
     "the result excluded, a shared answer counts with the time it took when it was computed; steps",
 }
@@ -31,6 +34,7 @@ def summarise_steps(records: Sequence[StepRecord]) -> Values:
         r.t_prepare_s + r.t_describe_s + r.t_guess_s + r.t_select_s + r.t_register_s
         for r in records
     ]
+    held = [r.localizability_min for r in registered if r.localizability_min is not None]
     reused = [r.reused for r in registered if r.reused is not None]
     return {
         "coverage": len(registered) / (len(records) - 1) if len(records) > 1 else None,
@@ -42,5 +46,7 @@ def summarise_steps(records: Sequence[StepRecord]) -> Values:
         "reused": float(np.mean(reused)) if reused else None,
         "mean_gap": float(np.mean([r.gap for r in registered])) if registered else None,
         "mean_fitness": float(np.mean([r.fitness for r in registered])) if registered else None,
+        "localizability": float(np.median(held)) if held else None,
+        "degenerate": float(np.mean(np.array(held) < DEGENERATE)) if held else None,
         "ms_per_scan": 1e3 * float(np.mean(work)) if work else None,
     }

@@ -33,11 +33,13 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Columns of ``steps.parquet``, (N,) each; NaN where there is no model scan or score."""
+    """Columns of ``steps.parquet``, (N,) each; NaN where there is no model scan or score.
+    ``held`` is the smallest eigenvalue of the localizability."""
 
     scan: Array
     gap: Array
     score: Array
+    held: Array
     status: NDArray[np.str_]
 
 
@@ -70,14 +72,13 @@ def read_steps(run: Run) -> Steps | None:
     if not path.is_file():
         return None
     try:
-        table = pq.read_table(path, columns=["scan", "gap", "score", "status"])
-        scan, gap, score = (
-            table[name].to_numpy().astype(np.float64) for name in ("scan", "gap", "score")
-        )
+        names = ("scan", "gap", "score", "localizability_min")
+        table = pq.read_table(path, columns=[*names, "status"])
+        scan, gap, score, held = (table[name].to_numpy().astype(np.float64) for name in names)
         status = np.array([str(word) for word in table["status"].to_pylist()])
     except (pa.ArrowException, OSError, KeyError, ValueError) as error:
         raise DataError(f"{path}: not a readable table of steps: {_line(error)}") from error
-    return Steps(scan, gap, score, status) if len(scan) else None
+    return Steps(scan, gap, score, held, status) if len(scan) else None
 
 
 def read_similarity(run: Run) -> tuple[Array, Array] | None:

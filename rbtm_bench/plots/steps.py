@@ -10,10 +10,13 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from rbtm_bench.degeneracy import DEGENERATE
 from rbtm_bench.plots import labels, style
 from rbtm_bench.plots.folder import Steps, read_steps
 from rbtm_bench.results import Run
 
+LEAST = 1e-5
+"""Smaller eigenvalues are drawn here."""
 LONG = 1000
 """Scans from which on a figure takes both columns."""
 
@@ -34,18 +37,21 @@ MARKS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def gaps(run: Run, note: str = "") -> Figure | None:
-    """Gap to the model scan over the scans, and below it the similarity to that scan where it is
-    known; None without steps. ``note`` goes into the title."""
+    """Gap to the model scan over the scans, below it the similarity to that scan where it is
+    known, and how well the matched surfaces hold the motion; None without steps. ``note`` goes
+    into the title."""
     steps = read_steps(run)
     if steps is None:
         return None
-    scored = bool(np.isfinite(steps.score).any())
+    scored, held = bool(np.isfinite(steps.score).any()), bool(np.isfinite(steps.held).any())
     width = style.DOUBLE if len(steps.scan) > LONG else style.SINGLE
-    figure = Figure(figsize=(width, 3.9 if scored else 2.6))
-    axes = figure.subplots(2 if scored else 1, 1, sharex=True, squeeze=False)[:, 0]
+    figure = Figure(figsize=(width, 2.6 + 1.3 * (scored + held)))
+    axes = figure.subplots(1 + scored + held, 1, sharex=True, squeeze=False)[:, 0]
     handles = _gap_panel(axes[0], steps)
     if scored:
         handles += _score_panel(axes[1], steps, labels.section(run, "selector").get("threshold"))
+    if held:
+        handles += _localizability_panel(axes[-1], steps)
     axes[-1].set_xlabel("scan number")
     axes[-1].xaxis.set_major_locator(MaxNLocator(6, integer=True))
     lines = [labels.title(run), _summary(run), note]
@@ -85,6 +91,20 @@ def _score_panel(ax: Axes, steps: Steps, threshold: float | None) -> list[Line2D
         return []
     line = ax.axhline(threshold, color=style.BLUE, lw=1.0, ls="--", zorder=3)
     line.set_label(f"threshold {threshold:g}")
+    return [line]
+
+
+def _localizability_panel(ax: Axes, steps: Steps) -> list[Line2D]:
+    """The smallest eigenvalue, with the line below which a direction counts as unseen."""
+    shown = np.maximum(steps.held, LEAST)
+    for status, (_, look) in MARKS.items():
+        chosen = (steps.status == status) & np.isfinite(shown)
+        _marks(ax, steps.scan[chosen], shown[chosen], look, len(steps.scan), None)
+    ax.set_yscale("log")
+    ax.set_ylim(0.7 * LEAST, 1.0)
+    ax.set_ylabel("localizability\n(smallest share)")
+    line = ax.axhline(DEGENERATE, color=style.BLACK, lw=1.0, ls=":", zorder=3)
+    line.set_label(f"degenerate below {DEGENERATE:g}")
     return [line]
 
 
