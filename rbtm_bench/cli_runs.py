@@ -180,11 +180,13 @@ def _compare(asked: Asked, resumed: Path | None, jobs: int) -> int:
                     if record["status"] != "done":
                         failed.append(f"{name}: {record['reason']}")
                         sweeps.tell_unwritten(out / name, record)
-                    progress.ended(name, record["status"] == "done")
+                    registrations = sweeps.registrations(out / name)
+                    progress.ended(name, record["status"] == "done", *registrations)
 
                 left = comparison.run_points(
                     rest, out, jobs, done, fail_fast=asked.fail_fast, part=progress.part, crew=crew
                 )
+    cli_session.merge_pairs(points[0].settings, out)
     return cli_session.finish(out, folders, failed, left, len(points) - len(rest))
 
 
@@ -247,6 +249,7 @@ def _sweep(asked: Asked, out: Path | None, resumed: bool) -> int:
     if broken:
         print(f"rbtm-bench: the launcher gave up: {broken}", file=sys.stderr)
         print(f"go on with: {sweeps.resume_command('sweep', out)}", file=sys.stderr)
+    cli_session.merge_pairs(plan.settings[0], out)
     code = cli_session.finish(out, folders, failed, left, len(reused))
     return max(code, 1 if broken else 0)
 

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from rbtm_bench import summary, sweeps
 from rbtm_bench.files import make_folder
+from rbtm_bench.settings import Settings
 from rbtm_bench.sweeps import Asked, Kind
 
 
@@ -65,7 +66,6 @@ def finish(
     """Table and verdict, what failed and what was left; the exit code."""
     runs = [folder for folder in folders if (folder / "run.json").is_file()]
     code = 0
-    _merge_pairs(out)
     if runs:
         try:
             print(summary.of_runs(out, runs))
@@ -79,12 +79,13 @@ def finish(
     return max(code, _report_failures(failed, len(folders)), 1 if left or not runs else 0)
 
 
-def _merge_pairs(out: Path) -> None:
+def merge_pairs(settings: Settings, out: Path) -> None:
     """Fold the stores that workers wrote one by one (pairs.store=per_worker) into one."""
-    if list((out / "pairs").glob("pairs-*")):
+    folder = Path(settings.config["pairs"]["folder"] or out / "pairs")
+    if list(folder.glob("pairs-*")):
         from rbtm_bench.pairstore import merge
 
-        merge(out / "pairs")
+        merge(folder)
 
 
 def _report_failures(failed: list[str], total: int) -> int:

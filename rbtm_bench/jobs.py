@@ -62,6 +62,7 @@ class Plan:
             fixed = _fixed(node.sweeper)
             found = None if fixed is None else _product([*fixed, *task])
         settings = values_beside_first([*(fixed or []), *task], extra_dirs)
+        _require_own_stores(node.launcher, settings)
         alone = str(node.launcher.get("_target_")).endswith(".BasicLauncher")
         return cls(settings, found, [*extra, *overrides], alone)
 
@@ -106,6 +107,19 @@ def _require_launcher(words: list[str]) -> None:
                 continue
             if importlib.util.find_spec(module) is None:
                 raise ConfigError(f"{word}: not installed: pip install 'rbtm-bench[{extra}]'")
+
+
+def _require_own_stores(launcher: DictConfig, settings: list[Settings]) -> None:
+    """Raise ``ConfigError`` if several machines would write one pair store: they cannot."""
+    kind = str(launcher.get("_target_")).rpartition(".")[2]
+    beyond = kind == "SlurmLauncher" or (
+        kind == "RayLauncher" and launcher.ray.init.get("address") not in (None, "local")
+    )
+    if beyond and any(one.config["pairs"]["store"] == "shared" for one in settings):
+        raise ConfigError(
+            "pairs.store=shared: the machines of a cluster cannot share one file safely; "
+            "add pairs.store=per_worker (merged at the end; docs/pairstore.md)"
+        )
 
 
 def _product(words: list[str]) -> list[list[str]]:
@@ -202,7 +216,7 @@ def watched(out: Path, reused: set[str], bar: RunBar, mine: bool) -> Iterator[No
                 status = sweeps.status(folder)
                 if status in ("done", "failed"):
                     ended.add(folder.name)
-                    bar.ended(folder.name, status == "done")
+                    bar.ended(folder.name, status == "done", *sweeps.registrations(folder))
 
     def watch() -> None:
         while not over.wait(POLL_S):

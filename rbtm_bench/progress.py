@@ -46,13 +46,16 @@ class RunBar:
         self._lock = threading.Lock()
         self._parts: dict[str, float] = {}
         self.done = self.failed = 0
+        self._registrations = self._shared = 0.0
         self._show()
 
-    def ended(self, name: str, done: bool) -> None:
-        """A run has ended."""
+    def ended(self, name: str, done: bool, registrations: int = 0, shared: float = 0.0) -> None:
+        """A run has ended; ``shared`` is the part of its registrations that it did not compute."""
         with self._lock:
             self._parts.pop(name, None)
             self.done, self.failed = self.done + done, self.failed + (not done)
+            self._registrations += registrations
+            self._shared += registrations * shared
             self._show()
 
     def part(self, name: str, scans: int, total: int) -> None:
@@ -62,10 +65,12 @@ class RunBar:
             self._show()
 
     def text(self) -> str:
-        """ "5 done, 3 reused, 1 failed, 0:42 left"."""
+        """ "5 done, 3 reused, 1 failed, 62% of registrations shared, 0:42 left"."""
         words = [f"{self.done} done"]
         words += [f"{self.reused} reused"] if self.reused else []
         words += [f"{self.failed} failed"] if self.failed else []
+        if self._registrations:
+            words.append(f"{self._shared / self._registrations:.0%} of registrations shared")
         left = self._seconds_left()
         if left is not None:
             minutes, seconds = divmod(round(left), 60)

@@ -228,6 +228,15 @@ def status(folder: Path) -> str | None:
     return stored(folder).get("status")
 
 
+def registrations(folder: Path) -> tuple[int, float]:
+    """How many registrations a run asked for, and the share that had been computed before."""
+    try:
+        values = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+        return int(values["registrations"]), float(values["reused"] or 0.0)
+    except (OSError, ValueError, TypeError, KeyError):
+        return 0, 0.0
+
+
 def tell_unwritten(folder: Path, record: dict[str, Any]) -> None:
     """Say why a run failed where its folder cannot: on a full disk."""
     if status(folder) != "failed":

@@ -28,9 +28,12 @@ WORDS = (
     "backend=none,open3d_p2p",
     "selector=previous,fixed_gap",
     "seed=0,1,2",
-    "dataset.scans=15",
+    "dataset.scans=45",
 )
 RUNS = 12
+POLL_S = 0.002
+A_RUN_S = 0.03
+"""Less than the shortest of these runs takes."""
 OF_TIME = ("seconds", "ms_per_scan", "reused")
 """Columns that say what a run cost, not what it gave."""
 
@@ -81,13 +84,21 @@ class Trial:
         return [*WORDS, f"out='{out}'", "overwrite=true", *self.extra]
 
     def kill_once(self, span: float) -> None:
-        """Let the sweep go on and kill it at a random moment; look at its table if it is done."""
+        """Let the sweep go on and kill it at a random moment, every other time one while a run is
+        being done; look at its table if it is done."""
         out = self.folder / f"sweep-{self.number}"
+        moment = time.monotonic() + self.random.uniform(0.0, span)
+        aimed = self.random.random() < 0.5
         process = self.start(out)
-        try:
-            code: int | None = process.wait(self.random.uniform(0.0, span))
-        except subprocess.TimeoutExpired:
-            code = None
+        code = process.poll()
+        while code is None and time.monotonic() < moment:
+            time.sleep(POLL_S)
+            code = process.poll()
+        while code is None and aimed and not self.in_a_run(out):
+            time.sleep(POLL_S)
+            code = process.poll()
+        if code is None:
+            time.sleep(self.random.uniform(0.0, A_RUN_S) if aimed else 0.0)
             if self.parent_only:
                 process.kill()
             else:
@@ -96,8 +107,12 @@ class Trial:
         if code is not None:
             self.check(out, code)
             return
-        begun = [status(path.parent) for path in out.glob("*/run.json")]
-        self.killed["during" if "started" in begun else "between" if begun else "before"] += 1
+        begun = any(out.glob("*/run.json"))
+        self.killed["during" if self.in_a_run(out) else "between" if begun else "before"] += 1
+
+    def in_a_run(self, out: Path) -> bool:
+        """True while a run has begun and not ended."""
+        return "started" in [status(path.parent) for path in out.glob("*/run.json")]
 
     def check(self, out: Path, code: int) -> None:
         """Hold a finished sweep's table against the calm one's."""

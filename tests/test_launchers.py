@@ -17,6 +17,7 @@ from rbtm_bench.errors import ConfigError
 from rbtm_bench.settings import composed, composing
 
 WORDS = ("backend=open3d_p2p", "selector.window=4,8", "seed=0,1", "dataset.scans=10")
+OWN = ("pairs.store=per_worker",)
 START_TRIES = 3
 """Ray's start, and only that, may time out on a loaded machine."""
 START_S = 300.0
@@ -120,7 +121,7 @@ def test_the_slurm_preset_is_what_sbatch_gets(tmp_path: Path) -> None:
         (tools / name).chmod(0o755)
     out = tmp_path / "out"
     done = subprocess.run(
-        command("hydra/launcher=slurm", "hydra.launcher.partition=short", f"out={out}"),
+        command("hydra/launcher=slurm", "hydra.launcher.partition=short", *OWN, f"out={out}"),
         env={**os.environ, "PATH": f"{tools}{os.pathsep}{os.environ['PATH']}"},
         capture_output=True,
         text=True,

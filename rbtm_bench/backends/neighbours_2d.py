@@ -27,10 +27,19 @@ class Sorted2D(NamedTuple):
 
 def sorted_2d(points: Array) -> Sorted2D:
     """Points (N, 2) or (N, 3) m, by their x and y, ready for ``nearest_2d``."""
-    xy = np.ascontiguousarray(points[:, :2], dtype=np.float64)
-    axis = int(np.argmax(np.ptp(xy, axis=0))) if len(xy) else 0
-    index = np.argsort(xy[:, axis], kind="stable").astype(np.int64)
-    return Sorted2D(xy[index], index, axis)
+    return Sorted2D(*_sorted(np.ascontiguousarray(points, dtype=np.float64)))
+
+
+@njit(cache=True)
+def _sorted(points: Array) -> tuple[Array, NDArray[np.int64], int]:
+    axis = 0
+    if len(points) and np.ptp(points[:, 1]) > np.ptp(points[:, 0]):
+        axis = 1
+    order = np.argsort(points[:, axis], kind="mergesort")
+    xy = np.empty((len(points), 2))
+    for i in range(len(points)):
+        xy[i, 0], xy[i, 1] = points[order[i], 0], points[order[i], 1]
+    return xy, order, axis
 
 
 @njit(cache=True)
