@@ -152,7 +152,7 @@ def main(argv: list[str] | None = None) -> int:
         trial.kill_once(span)
         kills += sum(trial.killed.values()) > before
     trial.finish()
-    if not options.out:
+    if not options.out and not trial.different:
         shutil.rmtree(folder)
     moments = ", ".join(f"{count} {when}" for when, count in trial.killed.items())
     print(f"kills: {kills} ({moments} runs)")
