@@ -13,7 +13,9 @@ from __future__ import annotations
 import argparse
 import statistics
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +27,12 @@ from rbtm_bench.settings import compose_settings
 from rbtm_bench.types import Array, Scan
 
 ALTERNATIONS = 5
+
+
+def in_memory(parts: experiment.Parts) -> experiment.Parts:
+    """The same with all scans read."""
+    scans: Any = list(parts.dataset)
+    return replace(parts, dataset=scans)
 
 
 def ours(parts: experiment.Parts) -> tuple[float, float, Array]:
@@ -69,8 +77,9 @@ def main() -> None:
     options = parser.parse_args()
     pin_to_free_core()
     words = ["dataset=carmen", f"dataset.path={options.log}", "backend=open3d_p2p"]
-    previous = experiment.instantiate(compose_settings([*words, "selector=previous"]))
+    previous = in_memory(experiment.instantiate(compose_settings([*words, "selector=previous"])))
     rbtm = experiment.instantiate(compose_settings([*words, "selector.window=100"]))
+    rbtm = replace(rbtm, dataset=previous.dataset)
     ours(previous), bare(previous)
     ratios, shares = [], []
     for _ in range(ALTERNATIONS):

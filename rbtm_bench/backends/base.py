@@ -84,6 +84,12 @@ class Backend(ABC):
 
     requires: tuple[str, ...] = ()
     """Names of the Python packages that must be importable."""
+    library: str = ""
+    """What does the work, with its licence, for the page of backends."""
+    converged_means: str = "not said by the library"
+    """When ``converged`` is True, in words; False always means fewer than 3 inliers, at least."""
+    repeats: str = "same bits"
+    """What makes results repeat bit for bit, and the threads it uses, in words."""
     dimensions: tuple[Literal["2d", "3d"], ...] = ("2d", "3d")
     """What the method can register: planar scans ("2d"), clouds in space ("3d")."""
     is_baseline: bool = False

@@ -1,0 +1,57 @@
+"""Basins of convergence: the share of right answers over the size of the guess's error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+
+from rbtm_bench.plots import style
+
+Shares = Mapping[tuple[float, float], float]
+"""(m, deg) of the guess's error -> share of right answers."""
+
+COLUMNS = 4
+PANEL = (1.55, 1.45)
+"""Width and height of a panel, inches."""
+ROOM = (0.6, 0.9)
+"""For labels, title and colour bar, inches."""
+COLOURS = "Greys_r"
+DARK = 0.5
+"""Shares below this are written in white."""
+
+
+def draw(found: Mapping[str, Shares], title: str) -> Figure:
+    """A panel a backend, all over the same errors, in one grey scale."""
+    columns = min(COLUMNS, len(found))
+    rows = -(-len(found) // columns)
+    size = (columns * PANEL[0] + ROOM[0], rows * PANEL[1] + ROOM[1])
+    figure = Figure(figsize=size)
+    axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    image = None
+    for ax, (name, shares) in zip(axes.flat, found.items(), strict=False):
+        image = _panel(ax, shares)
+        ax.set_title(style.plain(name))
+    for ax in list(axes.flat)[len(found) :]:
+        ax.set_axis_off()
+    figure.supxlabel("rotation error of the initial guess (deg)", fontsize=style.FONT)
+    figure.supylabel("translation error of the initial guess (m)", fontsize=style.FONT)
+    if image is not None:
+        figure.colorbar(image, ax=list(axes.flat), label="found (%)", shrink=0.6)
+    figure.suptitle(style.wrapped(title, size[0]))
+    return figure
+
+
+def _panel(ax: Axes, shares: Shares) -> AxesImage:
+    metres, degrees = sorted({m for m, _ in shares}), sorted({d for _, d in shares})
+    grid = np.array([[shares[m, d] for d in degrees] for m in metres])
+    image = ax.imshow(100.0 * grid, cmap=COLOURS, vmin=0.0, vmax=100.0, origin="lower", aspect="auto")
+    for (row, column), share in np.ndenumerate(grid):
+        colour = "white" if share < DARK else "black"
+        ax.text(column, row, f"{100 * share:.0f}", ha="center", va="center", color=colour, fontsize=6)
+    ax.set_xticks(range(len(degrees)), [f"{d:g}" for d in degrees])
+    ax.set_yticks(range(len(metres)), [f"{m:g}" for m in metres])
+    return image
