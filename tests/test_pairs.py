@@ -88,4 +88,4 @@ def test_wrong_guesses_are_wrong_by_as_much_as_asked(planar: bool) -> None:
     off = np.array([errors_of(T, pair.T_target_source) for T in guesses])
     np.testing.assert_allclose(off, [[0.5, 20.0]] * 20, atol=1e-9)
     assert len({T.tobytes() for T in guesses}) == 20
-    assert all((T[2, 3] == 0.0) is planar for T in guesses)
+    assert all(bool(T[2, 3] == 0.0) is planar for T in guesses)
