@@ -43,7 +43,7 @@ def check_data(points: Sequence[Point]) -> None:
             opened.clear()  # one data set in memory at a time
             opened[key] = experiment.build(config["dataset"])
         groups = ("backend", "guess", "similarity", "selector")
-        fit = repr((key, [config[group] for group in groups]))
+        fit = repr((key, [config.get(group) for group in groups]))
         if fit not in checked:
             checked.add(fit)
             experiment.check_fit(point.settings, opened[key])

@@ -17,6 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from rbtm_bench import provenance
+from rbtm_bench.backends.system import System
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.errors import ConfigError, RbtmBenchError
 from rbtm_bench.files import make_folder, write_atomically, write_json, write_text
@@ -24,8 +25,9 @@ from rbtm_bench.metrics.base import Metric
 from rbtm_bench.metrics.summary import summarise_steps
 from rbtm_bench.odometry import Method, odometry
 from rbtm_bench.pinning import pin_to_free_core
-from rbtm_bench.settings import PLUGIN_GROUPS, Settings, locate
+from rbtm_bench.settings import PLUGIN_GROUPS, Settings, is_system, locate
 from rbtm_bench.similarity.base import Similarity
+from rbtm_bench.system_odometry import system_odometry
 from rbtm_bench.trajectory import Trajectory
 from rbtm_bench.types import Array, StepRecord
 
@@ -38,10 +40,10 @@ SIMILARITY_PICTURE = 181
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """A run's plug-ins, instantiated."""
+    """A run's plug-ins, instantiated. A system is a method by itself."""
 
     dataset: Dataset
-    method: Method
+    method: Method | System
     metrics: tuple[Metric, ...]
 
 
@@ -108,6 +110,8 @@ def instantiate(settings: Settings) -> Parts:
     config = settings.config
     dataset = build(config["dataset"])
     check_fit(settings, dataset)
+    if is_system(config):
+        return Parts(dataset, build(config["backend"]), build_metrics(config))
     method = Method(
         **{g: build(config[g]) for g in PLUGIN_GROUPS if g != "dataset"},
         guess_along_degenerate=config["guess_along_degenerate"],
@@ -134,6 +138,8 @@ def check_fit(settings: Settings, dataset: Dataset) -> None:
             f"backend={settings.choices.get('backend')} is for {', '.join(dimensions)} only; "
             f"this data set is {needed}"
         )
+    if is_system(config):
+        return
     build(config["guess"]).check(dataset)
     selector = locate("selector", config["selector"]["_target_"])
     if getattr(selector, "needs_scores", False):
@@ -200,7 +206,7 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
     return seconds
 
 
-def with_scans(dataset: Dataset, method: Method) -> Any:
+def with_scans(dataset: Dataset, method: Method | System) -> Any:
     """Pairs (scan, step): the loop reads one scan and answers with one step."""
     current: list[Any] = []
 
@@ -209,7 +215,11 @@ def with_scans(dataset: Dataset, method: Method) -> Any:
             current[:] = [scan]
             yield scan
 
-    for step in odometry(stream(), method):
+    if isinstance(method, System):
+        steps = system_odometry(stream(), method)
+    else:
+        steps = odometry(stream(), method)
+    for step in steps:
         yield current[0], step
 
 
@@ -219,7 +229,7 @@ def _write_pictures(parts: Parts, estimate: Trajectory, resolution: float, out: 
 
     points = build_map(parts.dataset, estimate.T_world_scan, resolution)
     write_npz(out / "map.npz", points=points)
-    if not parts.method.selector.needs_scores:
+    if isinstance(parts.method, System) or not parts.method.selector.needs_scores:
         return
     scans, scores = similarity_matrix(parts.dataset, parts.method.similarity)
     write_npz(out / "similarity.npz", scans=scans, scores=scores)

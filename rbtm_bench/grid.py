@@ -20,6 +20,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from rbtm_bench.errors import ConfigError
 from rbtm_bench.settings import (
+    FOR_PAIRS,
     GROUPS,
     Settings,
     compose_settings,
@@ -27,6 +28,7 @@ from rbtm_bench.settings import (
     composing,
     explain,
     from_hydra,
+    is_system,
     parsed,
     shown,
     suggestion,
@@ -63,10 +65,13 @@ def make_points(
         for combination in itertools.product(*groups.values()):
             chosen = [f"{g}={m}" for g, m in zip(groups, combination, strict=True)]
             base = composed(chosen + additions + extra)
-            declared.append(base)
-            here = {key: values for key, values in keys.items() if _declares(base, key)}
+            idle = _idle(base)
+            declared.append(OmegaConf.masked_copy(base, [str(k) for k in base if k not in idle]))
+            here = {key: values for key, values in keys.items() if _declares(declared[-1], key)}
             used |= here.keys()
-            notes += _note(chosen, keys, here)
+            notes += _note(chosen, groups, keys, here, idle)
+            if any(f"{g}={groups[g][0]}" not in chosen for g in groups if g in idle):
+                continue  # the same as with the first member of those groups
             for values in itertools.product(*here.values()):
                 overrides = [f"{k}={shown(v)}" for k, v in zip(here, values, strict=True)]
                 settings = _settings(base, here, values, chosen + additions + overrides)
@@ -165,6 +170,11 @@ def _declares(config: DictConfig, key: str) -> bool:
     return True
 
 
+def _idle(config: Any) -> tuple[str, ...]:
+    """The groups and settings that do nothing for the chosen backend."""
+    return FOR_PAIRS if is_system(config) else ()
+
+
 def _settings(
     base: DictConfig, keys: dict[str, list[Any]], values: Iterable[Any], overrides: list[str]
 ) -> Settings:
@@ -182,11 +192,13 @@ def _label(
     values: Iterable[Any],
 ) -> list[str]:
     """What tells this point from the others: the words of its name."""
-    label = [settings.choices["backend"], settings.choices["selector"]]
+    label = [
+        settings.choices[group] for group in ("backend", "selector") if group in settings.config
+    ]
     label += [
         settings.choices[group]
         for group, members in groups.items()
-        if group not in ("backend", "selector") and len(members) > 1
+        if group not in ("backend", "selector", *_idle(settings.config)) and len(members) > 1
     ]
     label += [
         f"{key.rpartition('.')[2]}={shown(value)}"
@@ -233,7 +245,7 @@ def _named(found: list[tuple[Settings, list[str]]]) -> list[Point]:
     waiting = []
     sources: dict[str, list[str]] = {}
     for settings, label in found:
-        selector = settings.config["selector"]
+        selector = settings.config.get("selector") or {}
         if settings.choices["selector"] == "random_gap" and not (
             selector.get("gaps") or selector.get("gaps_from")
         ):
@@ -262,11 +274,24 @@ def _without_selector(settings: Settings) -> str:
     return _identity(plain, ignore=(*IGNORED_IN_COMPARISON, "selector", "seed"))
 
 
-def _note(chosen: list[str], keys: dict[str, list[Any]], here: dict[str, list[Any]]) -> list[str]:
-    """Say where a list of values does not apply, so that its points became one."""
-    notes = []
+def _note(
+    chosen: list[str],
+    groups: dict[str, list[str]],
+    keys: dict[str, list[Any]],
+    here: dict[str, list[Any]],
+    idle: tuple[str, ...],
+) -> list[str]:
+    """Say where a list of values does not apply, so that its points became one. ``idle`` groups
+    do nothing for the chosen backend."""
+    backend = next((word for word in chosen if word.startswith("backend=")), "backend")
+    notes = [
+        f"merged: {backend} needs no {group}: its {len(members)} points are one"
+        for group, members in groups.items()
+        if group in idle and len(members) > 1
+    ]
     for key, values in keys.items():
         group = key.partition(".")[0]
+        group = "backend" if group in idle else group
         if key not in here and len(values) > 1:
             member = next((word for word in chosen if word.startswith(f"{group}=")), group)
             notes.append(f"merged: {member} has no {key}: its {len(values)} points are one")

@@ -13,7 +13,7 @@ import inspect
 import json
 import re
 import typing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -32,6 +32,10 @@ from rbtm_bench.errors import ConfigError
 
 PLUGIN_GROUPS = ("dataset", "backend", "similarity", "selector", "guess", "check", "target")
 GROUPS = (*PLUGIN_GROUPS, "metrics")
+FOR_PAIRS = ("similarity", "selector", "guess", "check", "target", "guess_along_degenerate")
+"""The groups and settings that a backend which is a whole system does without."""
+FEEDING = ("registration", "descriptor")
+"""Settings that plug-ins take over: once resolved, their values stand there again."""
 
 
 class Pairs(TypedDict):
@@ -191,7 +195,26 @@ def from_hydra(cfg: DictConfig, overrides: tuple[str, ...] = ()) -> Settings:
         overrides,
     )
     check(settings.config)
-    return settings
+    return _of_system(settings) if is_system(settings.config) else settings
+
+
+def is_system(config: Any) -> bool:
+    """Whether the chosen backend is a ``System``, which needs nobody to choose model scans."""
+    from rbtm_bench.backends.system import System
+
+    node = config.get("backend") or {}
+    if "_target_" not in node:  # said by whoever checks the backend
+        return False
+    made = locate("backend", str(node["_target_"]))
+    made = made if inspect.isclass(made) else getattr(made, "__self__", None)
+    return inspect.isclass(made) and issubclass(made, System)
+
+
+def _of_system(settings: Settings) -> Settings:
+    """Without what does nothing for a system: it must not tell runs apart that are the same."""
+    config = {k: v for k, v in settings.config.items() if k not in (*FOR_PAIRS, *FEEDING)}
+    choices = {g: "none" if g in FOR_PAIRS else name for g, name in settings.choices.items()}
+    return replace(settings, config=config, choices=choices)
 
 
 def check(config: dict[str, Any]) -> None:

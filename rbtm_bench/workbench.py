@@ -27,7 +27,7 @@ from rbtm_bench.odometry import Method
 from rbtm_bench.pairstore import PairStore, context, pair_key
 from rbtm_bench.provenance import versions_of
 from rbtm_bench.selection.base import Selector
-from rbtm_bench.settings import Settings
+from rbtm_bench.settings import Settings, is_system
 from rbtm_bench.similarity.base import Descriptor, Similarity
 from rbtm_bench.types import Array, Node, RegistrationResult, Scan
 
@@ -90,6 +90,9 @@ class Workbench:
             self._data_key = data_key
         dataset: SharedDataset = self._shared["dataset"]
         experiment.check_fit(settings, dataset.plain)
+        metrics = experiment.build_metrics(config)
+        if is_system(config):  # it remembers, so nothing of it can be shared but the scans
+            return experiment.Parts(dataset, experiment.build(config["backend"]), metrics)
         plain = {g: experiment.build(config[g]) for g in ("selector", "check", "target")}
         backend = self._once("backend", config["backend"], self._backend(config, dataset))
         method = Method(
@@ -99,7 +102,7 @@ class Workbench:
             guess_along_degenerate=config["guess_along_degenerate"],
             **plain,
         )
-        return experiment.Parts(dataset, method, experiment.build_metrics(config))
+        return experiment.Parts(dataset, method, metrics)
 
     def flush(self) -> None:
         """Let other processes see what this one has computed."""

@@ -17,7 +17,8 @@ def pytest_addoption(pluginmanager: pytest.PytestPluginManager) -> None:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """A test that asks for ``member`` runs for every plug-in of its module's group."""
     if "member" in metafunc.fixturenames:
-        members = metafunc.config.stash[CATALOGUE].members(metafunc.module.GROUP)
+        systems = getattr(metafunc.module, "SYSTEMS", False)
+        members = metafunc.config.stash[CATALOGUE].members(metafunc.module.GROUP, systems)
         metafunc.parametrize("member", members, ids=[m.name for m in members], scope="module")
 
 

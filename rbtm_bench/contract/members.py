@@ -53,9 +53,10 @@ class Catalogue:
                 raise ConfigError(f"--override {word}: expected KEY=VALUE")
         return cls(places, only, words)
 
-    def members(self, group: str) -> list[Member]:
-        """Every member of a group."""
-        return [Member(group, name) for name in _names(group, self.folders)]
+    def members(self, group: str, systems: bool = False) -> list[Member]:
+        """Every member of a group; of the backends either those that register pairs, or systems."""
+        found = [Member(group, name) for name in _names(group, self.folders)]
+        return [m for m in found if group != "backend" or self._is_system(m) == systems]
 
     def wants(self, member: Member) -> bool:
         """Whether this plug-in is to be tested."""
@@ -80,6 +81,12 @@ class Catalogue:
             return build(node)
         except RbtmBenchError as error:
             pytest.fail(f"{member} cannot be built: {error}", pytrace=False)
+
+    def _is_system(self, member: Member) -> bool:
+        try:
+            return settings.is_system({"backend": self.node(member)})
+        except ConfigError:  # told where it is to be built
+            return False
 
     def _skip_without_packages(self, member: Member, node: dict[str, Any]) -> None:
         cls = settings.locate(str(member), str(node["_target_"]))

@@ -31,7 +31,8 @@ class Dataset(ABC):
 
     Constructors open and check their files: a bad file raises ``DataError`` before any run
     starts. ``len(dataset)`` scans; ``dataset[i]`` gives ``Scan`` i (0 <= i < len), every time the
-    same. The ``has_*`` and ``planar`` attributes hold for every scan.
+    same. The ``has_*`` and ``planar`` attributes hold for every scan, except that with
+    ``has_ground_truth`` some scans may lack a truth (None): it is not known, and metrics skip them.
     """
 
     planar: bool = False

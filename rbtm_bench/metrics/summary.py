@@ -29,12 +29,14 @@ COLUMNS = {
 
 def summarise_steps(records: Sequence[StepRecord]) -> Values:
     """The keys of ``COLUMNS``; a mean over nothing is None."""
-    registered = [r for r in records if r.model is not None]
+    registered = [r for r in records if r.status in ("registered", "fallback")]
     work = [
         r.t_prepare_s + r.t_describe_s + r.t_guess_s + r.t_select_s + r.t_register_s
         for r in records
     ]
     held = [r.localizability_min for r in registered if r.localizability_min is not None]
+    gaps = [r.gap for r in registered if r.gap is not None]
+    fitness = [r.fitness for r in registered if r.fitness is not None]
     reused = [r.reused for r in registered if r.reused is not None]
     return {
         "coverage": len(registered) / (len(records) - 1) if len(records) > 1 else None,
@@ -44,8 +46,8 @@ def summarise_steps(records: Sequence[StepRecord]) -> Values:
         "skipped": sum(r.status == "skipped" for r in records),
         "undefined_scores": sum(r.undefined_scores for r in records),
         "reused": float(np.mean(reused)) if reused else None,
-        "mean_gap": float(np.mean([r.gap for r in registered])) if registered else None,
-        "mean_fitness": float(np.mean([r.fitness for r in registered])) if registered else None,
+        "mean_gap": float(np.mean(gaps)) if gaps else None,
+        "mean_fitness": float(np.mean(fitness)) if fitness else None,
         "localizability": float(np.median(held)) if held else None,
         "degenerate": float(np.mean(np.array(held) < DEGENERATE)) if held else None,
         "ms_per_scan": 1e3 * float(np.mean(work)) if work else None,

@@ -80,7 +80,9 @@ def _figures(runs: list[Run], done: list[Run]) -> Iterator[Named]:
 
 
 def _of_selection(stem: str, run: Run, note: str) -> Iterator[Named]:
-    """Figures of how a run chose its model scans."""
+    """Figures of how a run chose its model scans; a system has no selector and chooses none."""
+    if labels.is_system(run):
+        return
     yield from _present(stem, "gap", steps.gaps(run, note))
     yield from _present(stem, "similarity", matrix.similarity(run, note))
 

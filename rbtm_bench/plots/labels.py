@@ -35,6 +35,11 @@ def choice(run: Run, group: str) -> str:
     return str((run.record.get("choices") or {}).get(group, "?"))
 
 
+def is_system(run: Run) -> bool:
+    """Whether the backend was a whole system, without a selector or anything that goes with it."""
+    return choice(run, "selector") == "none"
+
+
 def section(run: Run, group: str) -> dict[str, Any]:
     """The settings of a group; empty if there are none."""
     node = run.config.get(group)
@@ -167,9 +172,10 @@ def distinctions(runs: Sequence[Run], groups: Sequence[str]) -> dict[Run, list[s
     out: dict[Run, list[str]] = {run: [] for run in runs}
     for group in groups:
         settings = varying(runs, group)
-        many = len({choice(run, group) for run in runs}) > 1
+        having = {r for r in runs if not (is_system(r) and choice(r, group) == "none")}
+        many = len({choice(run, group) for run in having}) > 1
         for run in runs:
-            out[run] += [f"{group} {choice(run, group)}"] if many else []
+            out[run] += [f"{group} {choice(run, group)}"] if many and run in having else []
             out[run] += settings[run]
     return out
 

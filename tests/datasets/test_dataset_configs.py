@@ -12,7 +12,7 @@ import yaml
 from pydantic import ConfigDict, ValidationError, create_model
 
 CONFIGS = Path(__file__).parents[2] / "configs" / "dataset"
-NAMES = ("corridor", "carmen", "cloud_folder")
+NAMES = ("corridor", "carmen", "cloud_folder", "kitti")
 
 
 def _load(name: str) -> tuple[dict[str, Any], type]:
@@ -47,6 +47,8 @@ def test_config_and_class_agree(name: str) -> None:
         ("carmen", {"max_range": 0.0}),
         ("cloud_folder", {"rate_hz": 0.0}),
         ("cloud_folder", {"on_error": "ignore"}),
+        ("kitti", {"sequence": -1}),
+        ("kitti", {"ground_truth_frames": [3]}),
     ],
 )
 def test_annotations_can_be_checked(name: str, change: dict[str, Any]) -> None:

@@ -1,0 +1,152 @@
+"""KITTI's odometry data (Geiger, Lenz and Urtasun 2012), read by KISS-ICP's loader."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from annotated_types import Ge, Gt
+
+from rbtm_bench.datasets.cloud_files import check_file
+from rbtm_bench.datasets.files import data_lines, read_bytes, to_numbers
+from rbtm_bench.datasets.kiss_loader import Frame, KissDataset, open_loader
+from rbtm_bench.datasets.poses_file import read_poses
+from rbtm_bench.errors import ConfigError, DataError
+from rbtm_bench.geometry import is_rigid, se3
+
+SEQUENCES_WITH_POSES = 11
+"""Sequences from here on are for KITTI's evaluation server: their poses are not public."""
+
+CALIBRATION_TOLERANCE = 1e-3
+"""How far Tr's rotation may be from an exact one."""
+
+Index = Annotated[int, Ge(0)]
+
+
+class Kitti(KissDataset):
+    """A sequence in KITTI's layout: ``path``/sequences/00/velodyne/000000.bin with calib.txt and
+    times.txt beside it, and ``path``/poses/00.txt (sequences 0 to 10).
+
+    A frame's number is its file's name: a folder may hold any of a sequence's frames, with times
+    and poses of all. The official poses are the left camera's; KISS-ICP's loader brings them into
+    the laser's frame by Tr (calib.txt). Where they are not to be trusted over the whole sequence,
+    ``ground_truth_frames`` [first, last] keeps those of these frames alone.
+
+    ``correct_scans``: turn every point up by 0.205 deg as seen from the sensor, the error of
+    KITTI's vertical calibration that KISS-ICP (like IMLS-SLAM and CT-ICP before it) corrects.
+    ``stride`` keeps every n-th frame, then ``max_scans`` the first so many; ``min_range`` and
+    ``max_range`` in m. Scans are used as they come, compensated for the motion by KITTI.
+
+    Raises ``DataError`` naming the file that is missing or malformed, ``ConfigError`` for
+    ``ground_truth_frames`` that end before they begin.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        sequence: Index = 0,
+        correct_scans: bool = True,
+        ground_truth_frames: tuple[Index, Index] | None = None,
+        stride: Annotated[int, Ge(1)] = 1,
+        max_scans: Annotated[int, Ge(1)] | None = None,
+        min_range: Annotated[float, Ge(0)] = 0.0,
+        max_range: Annotated[float, Gt(0)] | None = None,
+    ) -> None:
+        if ground_truth_frames and ground_truth_frames[0] > ground_truth_frames[1]:
+            first, last = ground_truth_frames
+            raise ConfigError(f"dataset.ground_truth_frames=[{first},{last}]: expected first, last")
+        name = f"{sequence:02d}"
+        folder = _sequence_folder(Path(path), name)
+        scans = _scan_files(folder / "velodyne")
+        _check_calibration(folder / "calib.txt")
+        stamps = _read_times(folder / "times.txt")
+        has_poses = sequence < SEQUENCES_WITH_POSES
+        poses = Path(path) / "poses" / f"{name}.txt"
+        count = len(read_poses(_found(poses, "the official poses"))[1]) if has_poses else None
+        last = scans[-1][0]
+        _require(folder / "times.txt", len(stamps), "times", last)
+        if count is not None:
+            _require(poses, count, "poses", last)
+        loader = open_loader("kitti", path, sequence=name)
+        if not correct_scans:
+            loader.correct_kitti_scan = _as_it_is
+        frames = [
+            Frame(number, position, file, stamps[number])
+            for position, (number, file) in enumerate(scans)
+        ][::stride][:max_scans]
+        super().__init__(
+            "kitti",
+            loader,
+            frames,
+            [correct_scans],
+            loader.gt_poses if has_poses else None,
+            ground_truth_frames,
+            min_range,
+            max_range,
+        )
+
+
+def _as_it_is(points: Any) -> Any:
+    return points
+
+
+def _sequence_folder(path: Path, name: str) -> Path:
+    sequences = path / "sequences"
+    if not sequences.is_dir():
+        raise DataError(f"{sequences}: no such folder: expected KITTI's layout, sequences/00/...")
+    if not (sequences / name).is_dir():
+        there = sorted(place.name for place in sequences.iterdir() if place.is_dir())
+        raise DataError(f"{sequences / name}: no such sequence; found {', '.join(there) or 'none'}")
+    return sequences / name
+
+
+def _scan_files(folder: Path) -> list[tuple[int, Path]]:
+    """Frame numbers and files, in the order of the loader (that of names); every size checked."""
+    if not folder.is_dir():
+        raise DataError(f"{folder}: no such folder: expected the scans 000000.bin, 000001.bin, ...")
+    files = sorted(folder.glob("*.bin"))
+    if not files:
+        raise DataError(f"{folder}: no .bin file: expected the scans 000000.bin, 000001.bin, ...")
+    for file in files:
+        check_file(file)
+        if not file.stem.isdecimal():
+            raise DataError(f"{file}: expected a frame's number as its name, such as 000000.bin")
+    scans = [(int(file.stem), file) for file in files]
+    if scans != sorted(scans):
+        raise DataError(f"{folder}: expected names of one length, such as 000000.bin")
+    return scans
+
+
+def _check_calibration(path: Path) -> None:
+    for line, words in data_lines(read_bytes(_found(path, "the line Tr: and 12 numbers"))):
+        if words[0] == b"Tr:":
+            values = to_numbers(path, line, "Tr", words[1:])
+            if len(values) != 12:
+                raise DataError.at(path, line, "Tr", f"12 numbers, {len(values)} found")
+            Tr = np.array(values).reshape(3, 4)
+            if not is_rigid(se3(Tr[:, 3], Tr[:, :3]), CALIBRATION_TOLERANCE):
+                raise DataError.at(path, line, "Tr", "a rigid motion [R t], camera from laser")
+            return
+    raise DataError(f"{path}: expected a line Tr: with 12 numbers, the camera from the laser")
+
+
+def _read_times(path: Path) -> list[float]:
+    """Seconds since the first frame, one a line."""
+    times = []
+    for line, words in data_lines(read_bytes(_found(path, "the frames' times"))):
+        if len(words) != 1:
+            raise DataError.at(path, line, "time", f"1 number, {len(words)} found")
+        times += to_numbers(path, line, "time", words)
+    return times
+
+
+def _found(path: Path, what: str) -> Path:
+    if not path.is_file():
+        raise DataError(f"{path}: no such file: expected {what}")
+    return path
+
+
+def _require(path: Path, count: int, what: str, last: int) -> None:
+    if count <= last:
+        raise DataError(f"{path}: {count} {what}, but the last scan is {last:06d}.bin")
