@@ -4,14 +4,17 @@
 
 One thread, one pinned core, everything compiled and warm. Both sides do the same registrations of
 the same prepared scans in turn: `raw` is the library's call alone (for our own methods, their
-kernels), `ours` is Backend.register, which checks, evaluates and measures the localizability. Times
-are medians of --repeats; `added` is ours - raw, and too much where it is over 5% and over 50 us.
+kernels), `ours` is Backend.register, which also judges the result. Times are medians of --repeats.
+`judge` is the common evaluator (fitness, RMSE, localizability), the same for every backend; `wrap`
+is what is left of ours - raw: checks, conversions and the information matrix. It is too much where
+it is over 5% of raw and over 50 us.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
+import functools
 import statistics
 import sys
 import time
@@ -24,6 +27,7 @@ from bench_basin import backends_for
 
 from rbtm_bench import experiment, settings
 from rbtm_bench.backends.base import Backend, Prepared
+from rbtm_bench.backends.evaluation import evaluate
 from rbtm_bench.errors import BackendError
 from rbtm_bench.files import make_folder, write_atomically
 from rbtm_bench.geometry import inverse
@@ -39,7 +43,7 @@ DATA = {
 PAIRS = {"aces": 60, "intel": 60, "kitti": 4}
 GAP = {"aces": 5, "intel": 1, "kitti": 1}
 COLUMNS = (
-    *("data", "backend", "prepare_ms", "raw_ms", "ours_ms", "added_us", "added_share"),
+    *("data", "backend", "prepare_ms", "raw_ms", "ours_ms", "judge_us", "wrap_us", "wrap_share"),
     *("iterations", "points"),
 )
 Raw = Callable[[Prepared, Prepared, Array], Any]
@@ -86,9 +90,9 @@ def _raw_open3d(backend: Any) -> Raw:
 def measure(
     backend: Backend, scans: Sequence[tuple[Scan, Scan, Array]], repeats: int
 ) -> list[object]:
-    """prepare, raw and ours in ms, what is added in us and as a share, iterations, points."""
+    """prepare, raw and ours in ms, judge and wrap in us, wrap's share, iterations, points."""
     raw = raw_call(backend)
-    preparing, calling, registering, iterations, points = [], [], [], [], []
+    preparing, calling, registering, judging, iterations, points = [], [], [], [], [], []
     for target_scan, source_scan, guess in scans:
         backend.prepare(target_scan)
         target, source = backend.prepare(target_scan), backend.prepare(source_scan)
@@ -100,13 +104,26 @@ def measure(
             mine.append(_timed(lambda t=target, s=source, g=guess: backend.register(s, t, g)))
         calling.append(statistics.median(theirs))
         registering.append(statistics.median(mine))
-        found = backend.register(source, target, guess).iterations
-        iterations += [] if found is None else [found]
+        found = backend.register(source, target, guess)
+        T, radius = found.T_target_source, backend.max_correspondence_distance
+        judge = functools.partial(evaluate, source, target, T, radius)
+        judging.append(_median(judge, repeats))
+        iterations += [] if found.iterations is None else [found.iterations]
         points.append(len(source.points))
-    r, o = statistics.median(calling), statistics.median(registering)
-    added = statistics.median(m - t for m, t in zip(registering, calling, strict=True))
+    raw_s, wrap_s = (
+        statistics.median(calling),
+        statistics.median(
+            ours - theirs - judge
+            for ours, theirs, judge in zip(registering, calling, judging, strict=True)
+        ),
+    )
     return [
-        *(1e3 * statistics.median(preparing), 1e3 * r, 1e3 * o, 1e6 * added, added / r),
+        1e3 * statistics.median(preparing),
+        1e3 * raw_s,
+        1e3 * statistics.median(registering),
+        1e6 * statistics.median(judging),
+        1e6 * wrap_s,
+        wrap_s / raw_s,
         statistics.median(iterations) if iterations else None,
         int(statistics.median(points)),
     ]
@@ -140,10 +157,10 @@ def pairs_in(name: str, folder: Path) -> tuple[list[tuple[Scan, Scan, Array]], l
 
 def show(line: Sequence[object]) -> str:
     """One row as text."""
-    data, name, prepare, raw, ours, added, share, iterations, points = line
+    data, name, prepare, raw, ours, judge, wrap, share, iterations, points = line
     turns = "-" if iterations is None else f"{iterations:g}"
     return (
-        f"{data:<7}{name:<18}{prepare:9.3f}{raw:9.3f}{ours:9.3f}{added:9.0f}{share:8.0%}"
+        f"{data:<7}{name:<18}{prepare:9.3f}{raw:9.3f}{ours:9.3f}{judge:9.0f}{wrap:9.0f}{share:8.0%}"
         f"{turns:>7}{points:8}"
     )
 
@@ -161,8 +178,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = parser.parse_args(argv)
     pin_to_free_core()
     lines: list[list[object]] = []
-    heads = ("prepare", "raw ms", "ours ms", "added us", "share", "turns", "points")
-    widths = (9, 9, 9, 9, 8, 7, 8)
+    heads = ("prepare", "raw ms", "ours ms", "judge us", "wrap us", "share", "turns", "points")
+    widths = (9, 9, 9, 9, 9, 8, 7, 8)
     heading = "".join(f"{h:>{w}}" for h, w in zip(heads, widths, strict=True))
     print(f"{'data':<7}{'backend':<18}{heading}")
     for name in options.data.split(","):
@@ -180,7 +197,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 print(show(lines[-1]), flush=True)
     make_folder(options.out)
     write_atomically(options.out / "backends.csv", lambda path: _write(path, lines))
-    worst = [f"{d} {b}" for d, b, _, _, _, us, share, *_ in lines if us > 50 and share > 0.05]  # type: ignore[operator]
+    worst = [f"{d} {b}" for d, b, *_, us, share, _, _ in lines if us > 50 and share > 0.05]  # type: ignore[operator]
     print(f"wrapper over 5% and over 50 us: {', '.join(worst) or 'none'}")
     print(options.out / "backends.csv")
     return 0
