@@ -42,6 +42,30 @@ def transform(T: Array, points: Array) -> Array:
     return points @ T[:3, :3].T + T[:3, 3]
 
 
+def adjoint(T: Array) -> Array:
+    """The (6, 6) matrix that moves a small motion through T: T exp(d) = exp(adjoint(T) d) T for
+    d = (x, y, z, rx, ry, rz) in m and rad."""
+    # plain floats, as in rigidity_error
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = T.tolist()
+    return np.array(
+        [
+            [a, b, c, y * g - z * d, y * h - z * e, y * i - z * f],
+            [d, e, f, z * a - x * g, z * b - x * h, z * c - x * i],
+            [g, h, i, x * d - y * a, x * e - y * b, x * f - y * c],
+            [0.0, 0.0, 0.0, a, b, c],
+            [0.0, 0.0, 0.0, d, e, f],
+            [0.0, 0.0, 0.0, g, h, i],
+        ]
+    )
+
+
+def information_in_source_frame(information: Array, T_target_source: Array) -> Array:
+    """The information (6, 6) of a small motion d = (x, y, z, rx, ry, rz) in the target's frame,
+    exp(d) T_target_source, as that of one in the source's frame, T_target_source exp(d)."""
+    A = adjoint(T_target_source)
+    return A.T @ information @ A
+
+
 def translation_norm(T: Array) -> Array:
     """Length in m of the translation of motions (..., 4, 4)."""
     return np.linalg.norm(T[..., :3, 3], axis=-1)
