@@ -36,6 +36,8 @@ class KissICP(Backend):
     """
 
     requires = ("kiss_icp",)
+    library = "KISS-ICP (MIT)"
+    repeats = "same bits; one thread, the library's limit"
 
     def __init__(
         self,

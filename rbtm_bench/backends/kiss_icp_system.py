@@ -43,6 +43,9 @@ class KissICPSystem(System):
     """
 
     requires = ("kiss_icp",)
+    library = "KISS-ICP (MIT)"
+    converged_means = "not said; False where nothing of the scan meets the map"
+    repeats = "same bits; one thread, the library's limit"
 
     def __init__(
         self,

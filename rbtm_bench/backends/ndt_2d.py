@@ -62,6 +62,9 @@ class NDT2D(Backend):
     """
 
     requires = ("numba",)
+    library = "our own (MIT)"
+    converged_means = "last step below the epsilons, or none raises the score"
+    repeats = "same bits; one thread"
     dimensions = ("2d",)
     self_tolerance = 0.01  # points are compared with cells
 

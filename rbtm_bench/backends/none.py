@@ -10,6 +10,8 @@ class NoRegistration(Backend):
     """Hands back the initial guess: dead reckoning by the ``guess`` in use."""
 
     is_baseline = True
+    library = "none"
+    converged_means = "never said"
 
     def build(self, points: Array, planar: bool) -> None:
         return None

@@ -35,6 +35,8 @@ class Open3DICP(Backend):
     """
 
     requires = ("open3d",)
+    library = "Open3D (MIT)"
+    repeats = "same bits on one core only (`pin=true`)"
 
     max_correspondence_distance: Positive = 0.3
     voxel_size: Annotated[float, Ge(0)] = 0.0

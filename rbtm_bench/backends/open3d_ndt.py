@@ -42,6 +42,9 @@ class Open3DNDT(Backend):
     """
 
     requires = ("open3d",)
+    library = "Open3D (MIT)"
+    repeats = "same bits on one core only (`pin=true`)"
+    converged_means = "not said; False where fewer than 6 points lie near a cell"
     self_tolerance = 2e-3  # points are compared with the means of cells
 
     def __init__(

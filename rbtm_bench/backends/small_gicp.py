@@ -64,6 +64,9 @@ class SmallGICP(Backend):
     """
 
     requires = ("small_gicp",)
+    library = "small_gicp (MIT), the extra `small-gicp`"
+    converged_means = "last step below the epsilons, or none lowers the error; None in a cycle"
+    repeats = "same bits; one thread"
 
     def __init__(
         self,

@@ -79,6 +79,10 @@ class System(ABC):
 
     requires: tuple[str, ...] = ()
     """Names of the Python packages that must be importable."""
+    library: str = ""
+    converged_means: str = "not said by the library"
+    repeats: str = "same bits"
+    """As those of ``Backend``: for the page of backends."""
     dimensions: tuple[Literal["2d", "3d"], ...] = ("2d", "3d")
     """What the system can follow: planar scans ("2d"), clouds in space ("3d")."""
 

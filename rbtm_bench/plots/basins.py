@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,8 +21,8 @@ PANEL = (1.55, 1.45)
 ROOM = (0.6, 0.9)
 """For labels, title and colour bar, inches."""
 COLOURS = "Greys_r"
-DARK = 0.5
-"""Shares below this are written in white."""
+DARK = 50.0
+"""Percentages below this are written in white."""
 
 
 def draw(found: Mapping[str, Shares], title: str) -> Figure:
@@ -47,11 +48,12 @@ def draw(found: Mapping[str, Shares], title: str) -> Figure:
 
 def _panel(ax: Axes, shares: Shares) -> AxesImage:
     metres, degrees = sorted({m for m, _ in shares}), sorted({d for _, d in shares})
-    grid = np.array([[shares[m, d] for d in degrees] for m in metres])
-    image = ax.imshow(100.0 * grid, cmap=COLOURS, vmin=0.0, vmax=100.0, origin="lower", aspect="auto")
-    for (row, column), share in np.ndenumerate(grid):
-        colour = "white" if share < DARK else "black"
-        ax.text(column, row, f"{100 * share:.0f}", ha="center", va="center", color=colour, fontsize=6)
+    grid = np.array([[100.0 * shares[m, d] for d in degrees] for m in metres])
+    image = ax.imshow(grid, cmap=COLOURS, vmin=0.0, vmax=100.0, origin="lower", aspect="auto")
+    middle: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 6}
+    for (row, column), percent in np.ndenumerate(grid):
+        colour = "white" if percent < DARK else "black"
+        ax.text(column, row, f"{percent:.0f}", color=colour, **middle)
     ax.set_xticks(range(len(degrees)), [f"{d:g}" for d in degrees])
     ax.set_yticks(range(len(metres)), [f"{m:g}" for m in metres])
     return image
