@@ -61,8 +61,9 @@ def pairs_of(dataset: Dataset, gap: int = 1, at_most: int | None = None) -> list
         if target.ground_truth is None or source.ground_truth is None:
             continue
         T = inverse(target.ground_truth) @ source.ground_truth
-        has_odometry = target.odometry is not None and source.odometry is not None
-        moved = inverse(target.odometry) @ source.odometry if has_odometry else None
+        moved = None
+        if target.odometry is not None and source.odometry is not None:
+            moved = inverse(target.odometry) @ source.odometry
         pairs.append(Pair(target, source, T, moved))
     if not pairs:
         raise DataError(f"no two scans {gap} apart have ground truth")

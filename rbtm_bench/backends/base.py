@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from annotated_types import Ge, Gt
 
-from rbtm_bench.backends.evaluation import evaluate
+from rbtm_bench.backends.evaluation import compile_kernels, evaluate
 from rbtm_bench.backends.neighbours_2d import Sorted2D, sorted_2d
 from rbtm_bench.errors import BackendError
 from rbtm_bench.geometry import is_rigid, to_plane, transform, voxel_downsample
@@ -109,6 +109,7 @@ class Backend(ABC):
     ) -> None:
         self.max_correspondence_distance = max_correspondence_distance
         self.voxel_size = voxel_size
+        compile_kernels()
 
     @abstractmethod
     def build(self, points: Array, planar: bool) -> Any:

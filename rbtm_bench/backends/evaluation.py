@@ -4,13 +4,14 @@ whether the matched surfaces hold the motion at all."""
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numba import njit
 
-from rbtm_bench.backends.neighbours_2d import Sorted2D, nearest_2d
+from rbtm_bench.backends.neighbours_2d import Sorted2D, nearest_2d, sorted_2d
 from rbtm_bench.geometry import transform
+from rbtm_bench.kernels import kernel
 from rbtm_bench.types import Array, Localizability
 
 if TYPE_CHECKING:
@@ -31,6 +32,12 @@ class Evaluation(NamedTuple):
     inlier_rmse: float
     inliers: int
     localizability: Localizability | None
+
+
+@cache
+def compile_kernels() -> None:
+    """Compile, or load from disk, what planar evaluation calls: never on a registration's time."""
+    _planar_sums(sorted_2d(np.eye(3)), np.eye(3), 1.0, 0.0, 0.0, 0.0, 9.0)
 
 
 def evaluate(
@@ -67,7 +74,7 @@ def _evaluate_2d(source: Prepared, target: Prepared, T: Array, radius: float) ->
     return Evaluation(count / len(xy), rmse, count, held)
 
 
-@njit(cache=True)
+@kernel
 def _planar_sums(
     target: Sorted2D, source: Array, c: float, s: float, x: float, y: float, radius: float
 ) -> tuple[int, float, Array, float, int]:
@@ -91,7 +98,7 @@ def _planar_sums(
         seen += 1
         if (seen - 1) % step:
             continue
-        neighbours, tangent = _tangent(target, places[i], radius)
+        neighbours, tangent = tangent_at(target, places[i], radius)
         if neighbours < MIN_SURFACE:
             continue
         used += 1
@@ -116,8 +123,8 @@ def _planar_sums(
     return count, squares, H, lever, used
 
 
-@njit(cache=True)
-def _tangent(points: Sorted2D, place: int, radius: float) -> tuple[int, float]:
+@kernel
+def tangent_at(points: Sorted2D, place: int, radius: float) -> tuple[int, float]:
     """How many points lie within ``radius`` of one of them, itself included, and the direction
     (rad) of their larger spread."""
     xy, axis = points.xy, points.axis

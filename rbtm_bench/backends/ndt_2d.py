@@ -8,12 +8,12 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
-from numba import njit
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.backends.ndt_2d_cells import Cells, cells_of, half_cell, place
 from rbtm_bench.errors import BackendError, ConfigError
 from rbtm_bench.geometry import se2, yaw
+from rbtm_bench.kernels import kernel
 from rbtm_bench.types import Array
 
 Positive = Annotated[float, Gt(0)]
@@ -61,7 +61,6 @@ class NDT2D(Backend):
     ``library_fitness`` is the score over its most, four for each point. Deterministic.
     """
 
-    requires = ("numba",)
     library = "our own (MIT)"
     converged_means = "last step below the epsilons, or none raises the score"
     repeats = "same bits; one thread"
@@ -128,7 +127,7 @@ def information(terms: Array, theta: float) -> Array | None:
     return out
 
 
-@njit(cache=True)
+@kernel
 def score_terms(points: Array, cells: Cells, pose: Array) -> Array:
     """Score, its gradient and the Hessian of -score: (10,) = score, x, y, theta; xx, yx, yy, tx,
     ty, tt (lower triangle) for source points (N, 2 or 3) m moved by ``pose`` x, y, theta.
@@ -173,7 +172,7 @@ def score_terms(points: Array, cells: Cells, pose: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@kernel
 def maximise(
     points: Array, cells: Cells, pose: Array, settings: Settings
 ) -> tuple[Array, Array, int, bool]:
@@ -206,7 +205,7 @@ def maximise(
     return pose, terms, settings.max_iterations, False
 
 
-@njit(cache=True)
+@kernel
 def newton_step(terms: Array, lever: float) -> Array:
     """The step (x, y, theta) that raises the score: (H + shift I) step = gradient, in units in
     which theta counts as theta * ``lever`` m."""

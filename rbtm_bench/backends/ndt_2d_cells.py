@@ -10,9 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rbtm_bench.kernels import kernel
 from rbtm_bench.types import Array
 
 EMPTY = -1
@@ -33,13 +33,13 @@ class Cells(NamedTuple):
     size: float
 
 
-@njit(cache=True)
+@kernel
 def half_cell(x: float, size: float) -> int:
     """Number of the half-cell that holds a coordinate (m)."""
     return math.floor(2.0 * x / size)
 
 
-@njit(cache=True)
+@kernel
 def place(slots: NDArray[np.int64], i: int, j: int) -> int:
     """Where (i, j) is in a hash table, or the free place where it belongs."""
     mask = len(slots) - 1
@@ -49,7 +49,7 @@ def place(slots: NDArray[np.int64], i: int, j: int) -> int:
     return at
 
 
-@njit(cache=True)
+@kernel
 def table(entries: int) -> NDArray[np.int64]:
     """An empty hash table (M, 3), at most half full: i, j and a value, -1 where it is free."""
     length = 8
@@ -58,7 +58,7 @@ def table(entries: int) -> NDArray[np.int64]:
     return np.full((length, 3), EMPTY, np.int64)
 
 
-@njit(cache=True)
+@kernel
 def cells_of(points: Array, size: float, min_points: int, ratio: float) -> Cells:
     """The cells of planar points (N, 2 or 3) m that hold at least ``min_points`` of them.
 
@@ -88,7 +88,7 @@ def cells_of(points: Array, size: float, min_points: int, ratio: float) -> Cells
     return Cells(normals[:count].copy(), slots, over[:halves].copy(), size)
 
 
-@njit(cache=True)
+@kernel
 def _moments(points: Array, size: float) -> tuple[NDArray[np.int64], Array]:
     """Lower left half-cells (C, 2) of all cells with points, and the moments (C, 6) of these
     about the cell's centre: count, x, y, xx, xy, yy."""
@@ -117,7 +117,7 @@ def _moments(points: Array, size: float) -> tuple[NDArray[np.int64], Array]:
     return corners[:count], moments[:count]
 
 
-@njit(cache=True)
+@kernel
 def _normal(moment: Array, ratio: float, out: Array) -> bool:
     """Mean and inverse covariance (5,) of moments (6,) into ``out``; False for a single place."""
     n = moment[0]

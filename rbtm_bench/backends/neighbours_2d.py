@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rbtm_bench.kernels import kernel
 from rbtm_bench.types import Array
 
 
@@ -30,7 +30,7 @@ def sorted_2d(points: Array) -> Sorted2D:
     return Sorted2D(*_sorted(np.ascontiguousarray(points, dtype=np.float64)))
 
 
-@njit(cache=True)
+@kernel
 def _sorted(points: Array) -> tuple[Array, NDArray[np.int64], int]:
     axis = 0
     if len(points) and np.ptp(points[:, 1]) > np.ptp(points[:, 0]):
@@ -42,7 +42,7 @@ def _sorted(points: Array) -> tuple[Array, NDArray[np.int64], int]:
     return xy, order, axis
 
 
-@njit(cache=True)
+@kernel
 def nearest_2d(points: Sorted2D, x: float, y: float, radius: float) -> tuple[int, float]:
     """The place in ``points.xy`` of the point nearest to (x, y) m, and its distance in m; (-1,
     inf) if none is nearer than ``radius`` m. Of several equally near ones, always the same."""

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Any
 
+import numpy as np
 from annotated_types import Ge
 
 from rbtm_bench.backends.open3d_icp import Open3DICP, Positive, _registration, cloud
@@ -20,6 +21,10 @@ class Open3DPointToPlane(Open3DICP):
 
     normal_radius: Positive | None = None
     normal_neighbours: Annotated[int, Ge(5)] = 30
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        normals_2d(np.eye(3), 1.0, self.normal_neighbours)  # compiles its kernels
 
     def build(self, points: Array, planar: bool) -> Any:
         import open3d as o3d

