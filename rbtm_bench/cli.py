@@ -18,7 +18,9 @@ commands
   run       one experiment:      rbtm-bench run backend=open3d_gicp selector=rbtm selector.window=20
   compare   a grid, one table:   rbtm-bench compare backend=none,open3d_p2p selector=previous,rbtm
   sweep     Hydra's multirun:    rbtm-bench sweep selector.threshold=0.6,0.7,0.8
-  table     runs as a table:     rbtm-bench table results/compare --format csv
+  table     runs as a table:     rbtm-bench table results/compare --against selector=previous
+  show      what is behind a row: settings, command, data:  rbtm-bench show results/compare/NAME
+  diff      what differs between two runs:  rbtm-bench diff RUN RUN
   plot      runs as figures:     rbtm-bench plot results/compare
   list      every plug-in, its parameters, and whether its library is there
   doctor    check this installation and say what to do
@@ -87,16 +89,21 @@ def dispatch(words: list[str]) -> int:
         from rbtm_bench import cli_results
 
         return {"table": cli_results.table, "plot": cli_results.plot}[command](words)
+    if command in ("show", "diff"):
+        from rbtm_bench import cli_inspect
+
+        return {"show": cli_inspect.show, "diff": cli_inspect.diff}[command](words)
     if command in ("list", "doctor"):
         from rbtm_bench import cli_about
 
         return {"list": cli_about.list_plugins, "doctor": cli_about.doctor}[command](words)
     import difflib
 
-    commands = ["run", "compare", "sweep", "table", "plot", "list", "doctor"]
-    close = difflib.get_close_matches(command, commands, n=1)
+    from rbtm_bench.completion import COMMANDS
+
+    close = difflib.get_close_matches(command, COMMANDS, n=1)
     meant = f" Did you mean {close[0]}?" if close else ""
-    raise ConfigError(f"{command}: no such command.{meant} Known: {', '.join(commands)}")
+    raise ConfigError(f"{command}: no such command.{meant} Known: {', '.join(COMMANDS)}")
 
 
 def _exit_code(call: Callable[[], int]) -> int:

@@ -1,4 +1,4 @@
-"""The subcommands that read results: table, plot."""
+"""The subcommands that make tables and figures of results: table, plot."""
 
 from __future__ import annotations
 
@@ -9,39 +9,46 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rbtm_bench import results
+from rbtm_bench.errors import ConfigError
 from rbtm_bench.results import Run
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from rbtm_bench.statistics import Statistic
+
+TABLE = """\
+examples
+  rbtm-bench table results/compare --over-seeds -f latex        a row a method, for a paper
+  rbtm-bench table results/s1 results/s2 --best                 two sweeps as one
+  rbtm-bench table results/compare --intervals                  how sure is each number
+  rbtm-bench table results/compare --against selector=previous  is it better than the standard
+  rbtm-bench table results/compare --against "keyframe distance=0.3" --metric ape_rmse_m
+  rbtm-bench table results/bare results/paper --against previous --pool
+
+Intervals are bootstrapped over independent data sets: the seeds of a simulated environment; one
+log is one data set, and its relations are resampled by the place and time they belong to.
+--against compares on the same seeds (or relations), within a backend for a selector and within a
+selector for a backend; better and worse stand only where six data sets or more agree enough.
+docs/statistics.md says how, docs/metrics.md defines every metric."""
 
 
 def table(words: list[str]) -> int:
     """``rbtm-bench table PATH...``: runs as a table on standard output."""
     from rbtm_bench import tables
 
-    parser = argparse.ArgumentParser(
-        prog="rbtm-bench table",
-        description="Runs (run folders, or folders of them: several sweeps and comparisons too) "
-        "as one table. Units are in the column names; docs/metrics.md defines every metric. What "
-        "makes rows hard to compare (other data, other versions) is said on standard error.",
-    )
-    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH")
-    parser.add_argument("--format", "-f", choices=tables.FORMATS, default="text")
-    parser.add_argument(
-        "--over-seeds",
-        action="store_true",
-        help="a row a method: medians over the runs that differ only in their seed",
-    )
-    parser.add_argument(
-        "--best",
-        action="store_true",
-        help="the best setting of every data set, backend and selector (medians over seeds), "
-        "with the number of settings that each was the best of",
-    )
-    parser.add_argument("--columns", metavar="A,B", help="only these columns")
-    options = parser.parse_args(words)
+    options = _table_parser().parse_args(words)
+    if options.metric and not (options.intervals or options.against):
+        raise ConfigError("--metric: goes with --intervals or --against; else use --columns")
+    if options.pool and not (options.intervals or options.against):
+        raise ConfigError("--pool: goes with --intervals or --against")
+    if options.mean and not options.intervals:
+        raise ConfigError("--mean: goes with --intervals")
     runs = results.find_runs(options.paths)
     _warn(runs)
+    if options.intervals or options.against:
+        _print_statistics(runs, options)
+        return 0
     if options.best:
         _print_best(tables.best(results.over_seeds(runs)), options.format, options.columns)
         return 0
@@ -52,9 +59,84 @@ def table(words: list[str]) -> int:
     return 0
 
 
+def _table_parser() -> argparse.ArgumentParser:
+    from rbtm_bench import tables
+
+    parser = argparse.ArgumentParser(
+        prog="rbtm-bench table",
+        description="Runs (run folders, or folders of them: several sweeps and comparisons too) "
+        "as one table.\nUnits are in the column names. What makes rows hard to compare (other "
+        "data, other versions)\nis said on standard error. rbtm-bench show RUN tells what is "
+        "behind a row.",
+        epilog=TABLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH")
+    parser.add_argument("--format", "-f", choices=tables.FORMATS, default="text")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument(
+        "--over-seeds",
+        action="store_true",
+        help="a row a method: medians over the runs that differ only in their seed",
+    )
+    kind.add_argument(
+        "--best",
+        action="store_true",
+        help="the best setting of every data set, backend and selector (medians over seeds), "
+        "with the number of settings that each was the best of",
+    )
+    kind.add_argument(
+        "--intervals",
+        action="store_true",
+        help="a row a method: medians over seeds with bootstrap 95%% intervals",
+    )
+    kind.add_argument(
+        "--against",
+        metavar="METHOD",
+        help="a row a method: paired differences from this one, with intervals and tests",
+    )
+    parser.add_argument(
+        "--metric", metavar="A,B", help="with --intervals, --against: these, not the main error"
+    )
+    parser.add_argument(
+        "--pool",
+        action="store_true",
+        help="with --intervals, --against: all data sets together (seeds x environments, or logs)",
+    )
+    parser.add_argument("--mean", action="store_true", help="with --intervals: not the median")
+    parser.add_argument("--columns", metavar="A,B", help="only these columns")
+    return parser
+
+
+def _print_statistics(runs: Sequence[Run], options: argparse.Namespace) -> None:
+    """A table of intervals or differences: numbers as CSV and JSON, else folded to be read."""
+    from rbtm_bench import tables
+    from rbtm_bench.tables import paired, with_intervals
+
+    metrics = with_intervals.named_metrics(runs, options.metric)
+    if options.against:
+        rows = paired.against(runs, options.against, metrics, options.pool)
+        notes = paired.notes(rows)
+    else:
+        statistic: Statistic = "mean" if options.mean else "median"
+        rows = with_intervals.intervals(runs, metrics, statistic, options.pool)
+        notes = with_intervals.notes(rows, statistic)
+    if options.format not in ("csv", "json"):
+        rows = with_intervals.folded(rows)
+    if options.columns:
+        rows = rows[tables.existing_columns(rows, options.columns)]
+    elif options.format == "text":
+        told = [*results.METHOD, "seeds", "status", "unit", "reference", "reference_status"]
+        told += ["metric"]
+        keep = [*tables.ALWAYS, *(c for c in rows if c not in told)]
+        rows, same = tables.screen(rows, list(rows), keep)
+        notes = [f"the same in every row: {same}", *notes] if same else notes
+    print(tables.render(rows, options.format))
+    _say(notes, options.format)
+
+
 def _print_best(best: pd.DataFrame, fmt: str, columns: str | None) -> None:
-    """The table of best settings: whole as CSV and JSON, else the columns that matter. What must
-    be said with it goes below, or to standard error where that would not be a table any more."""
+    """The table of best settings: whole as CSV and JSON, else the columns that matter."""
     from rbtm_bench import summary, tables
 
     if fmt == "text" and not columns:
@@ -66,7 +148,13 @@ def _print_best(best: pd.DataFrame, fmt: str, columns: str | None) -> None:
     elif fmt not in ("csv", "json"):
         rows = best[tables.best_columns(best)[0]]
     print(tables.render(rows, fmt))
-    for line in tables.chances(best):
+    _say(tables.chances(best), fmt)
+
+
+def _say(lines: Sequence[str], fmt: str) -> None:
+    """What must be said with a table: below it, or on standard error where that would not be a
+    table any more."""
+    for line in lines:
         print(line, file=sys.stdout if fmt == "text" else sys.stderr)
 
 
@@ -82,9 +170,12 @@ def plot(words: list[str]) -> int:
     """``rbtm-bench plot PATH...``: figures beside the runs."""
     parser = argparse.ArgumentParser(
         prog="rbtm-bench plot",
-        description="Figures of runs (PNG and PDF): map with trajectory and truth, standard "
-        "beside rbtm, similarity matrix, gap over time; of a sweep the error of every method and "
-        "heat maps of the error over threshold and window. Several sweeps are merged.",
+        description="Figures of runs (PNG and PDF): map and occupancy grid with trajectory and "
+        "truth, standard beside rbtm, similarity matrix, gap over time; of methods side by side "
+        "their paths, error over the path, error by method, box plots over seeds, accuracy "
+        "against time with the Pareto front; of a sweep heat maps of the error over threshold "
+        "and window. Only what makes sense for the runs (docs/figures.md). Several sweeps are "
+        "merged.",
     )
     parser.add_argument("paths", nargs="+", type=Path, metavar="PATH")
     parser.add_argument("--out", type=Path, help="folder (default: figures/ in the first PATH)")

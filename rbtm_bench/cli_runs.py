@@ -26,8 +26,8 @@ examples
   rbtm-bench run dataset=cloud_folder dataset.path=clouds similarity=virtual_scan
 
 The folder (out=DIR) holds config.yaml, run.json, steps.parquet (a row a scan), trajectory.tum,
-metrics.json and map.npz. An existing one is refused unless overwrite=true.
-time_limit=SECONDS ends a run that takes longer.
+metrics.json, map.npz and, on data with relations, relations.parquet. An existing one is refused
+unless overwrite=true. time_limit=SECONDS ends a run that takes longer.
 rbtm-bench list shows what there is to choose; --cfg job prints the composed settings."""
 
 COMPARE_HELP = """\

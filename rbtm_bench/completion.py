@@ -7,7 +7,7 @@ import os
 import re
 import sys
 
-COMMANDS = ("run", "compare", "sweep", "table", "plot", "list", "doctor")
+COMMANDS = ("run", "compare", "sweep", "table", "show", "diff", "plot", "list", "doctor")
 WITH_OVERRIDES = ("run", "compare", "sweep")
 
 

@@ -2,7 +2,8 @@
 
 A run folder holds ``config.yaml`` (resolved), ``run.json`` (status and provenance),
 ``steps.parquet`` (a row a scan), ``trajectory.tum``, ``metrics.json`` and ``map.npz``, and, where
-they exist, ``ground_truth.tum`` and ``similarity.npz``. Every file appears whole or not at all.
+they exist, ``ground_truth.tum``, ``similarity.npz`` and ``relations.parquet`` (the error of every
+relation). Every file appears whole or not at all.
 """
 
 from __future__ import annotations
@@ -21,10 +22,13 @@ from rbtm_bench.backends.system import System
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.errors import ConfigError, RbtmBenchError
 from rbtm_bench.files import make_folder, write_atomically, write_json, write_text
-from rbtm_bench.metrics.base import Metric
+from rbtm_bench.metrics.base import Metric, evaluated
+from rbtm_bench.metrics.cost import peak_memory_mb
+from rbtm_bench.metrics.relations import RelationError
 from rbtm_bench.metrics.summary import summarise_steps
 from rbtm_bench.odometry import Method, odometry
 from rbtm_bench.pinning import pin_to_free_core
+from rbtm_bench.relation_errors import FILE as RELATIONS
 from rbtm_bench.settings import PLUGIN_GROUPS, Settings, is_system, locate
 from rbtm_bench.similarity.base import Similarity
 from rbtm_bench.system_odometry import system_odometry
@@ -189,7 +193,7 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
         truth.append(np.full((4, 4), np.nan) if scan.ground_truth is None else scan.ground_truth)
         if progress:
             progress(len(records), len(dataset))
-    seconds = time.perf_counter() - started
+    seconds, memory = time.perf_counter() - started, peak_memory_mb()
     stamps = np.array([record.stamp for record in records])
     estimate = Trajectory(stamps, np.stack(poses))
     reference = Trajectory(stamps, np.stack(truth)) if dataset.has_ground_truth else None
@@ -197,9 +201,11 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
     estimate.write_tum(out / "trajectory.tum")
     if reference is not None and reference.known.all():
         reference.write_tum(out / "ground_truth.tum")
-    values: dict[str, Any] = summarise_steps(records)
+    values: dict[str, Any] = summarise_steps(records, memory)
     for metric in parts.metrics:
-        values.update(metric.evaluate(estimate, reference, dataset.relations))
+        values.update(evaluated(metric, estimate, reference, dataset))
+        if isinstance(metric, RelationError) and dataset.relations is not None:
+            metric.errors(estimate, dataset.relations).write(out / RELATIONS)
     write_json(out / "metrics.json", values)
     if settings.config["pictures"]:
         _write_pictures(parts, estimate, float(settings.config["map_resolution"]), out)
@@ -224,11 +230,18 @@ def with_scans(dataset: Dataset, method: Method | System) -> Any:
 
 
 def _write_pictures(parts: Parts, estimate: Trajectory, resolution: float, out: Path) -> None:
-    """What pictures need beyond the steps: the map's points and a similarity matrix."""
+    """What pictures need beyond the steps: the map, as points and as an occupancy grid of what
+    planar scans saw, and a similarity matrix."""
     from rbtm_bench.mapping import build_map
 
     points = build_map(parts.dataset, estimate.T_world_scan, resolution)
-    write_npz(out / "map.npz", points=points)
+    grid: dict[str, Any] = {}
+    if parts.dataset.planar:  # in space a beam seen from above crosses walls that it passes over
+        from rbtm_bench.occupancy import build_grid
+
+        poses = estimate.T_world_scan
+        grid = build_grid(parts.dataset, poses, points, resolution).arrays()
+    write_npz(out / "map.npz", points=points, **grid)
     if isinstance(parts.method, System) or not parts.method.selector.needs_scores:
         return
     scans, scores = similarity_matrix(parts.dataset, parts.method.similarity)
@@ -286,6 +299,7 @@ FILES = (
     "metrics.json",
     "map.npz",
     "similarity.npz",
+    RELATIONS,
 )
 
 

@@ -15,16 +15,14 @@ from rbtm_bench.errors import DataError
 if TYPE_CHECKING:
     import pandas as pd
 
+METHOD = ("data", "backend", "selector", "window", "threshold", "settings")
+"""The columns that say what was compared on what."""
+
 FIRST = (
     "run",
     "status",
     "dataset",
-    "data",
-    "backend",
-    "selector",
-    "window",
-    "threshold",
-    "settings",
+    *METHOD,
     "seed",
     "scans",
     "coverage",
@@ -54,6 +52,9 @@ FIRST = (
 """The columns of a table, in order; a run's further metrics follow, then the reason of failure."""
 
 SAME_FOR_ALL_SEEDS = ("seed", "gaps_from", "out", "overwrite", "pin")
+
+COSTS = re.compile(r"ms_|real_time_factor|peak_memory|reused")
+"""Metrics that depend on the machine's mood, or on what other runs had computed before."""
 
 HOW_NOT_WHAT = ("time_limit", "pictures", "map_resolution", "pairs", "memory_mb")
 """Settings outside every group that change what a run leaves or costs, not its numbers."""
@@ -253,22 +254,38 @@ def _last(table: pd.DataFrame) -> pd.DataFrame:
     return table[[*(c for c in table if c != "reason"), "reason"]]
 
 
-def over_seeds(runs: Sequence[Run]) -> pd.DataFrame:
-    """One row a method: medians of every number over the runs that differ only in their seed.
+@dataclass(frozen=True, eq=False)
+class MethodRuns:
+    """Runs that differ only in their seed, and ``row``: the medians of their numbers, and in
+    ``seeds`` how many they are. Failed ones have no numbers and show in ``status``."""
 
-    ``seeds`` counts the runs behind a row; failed runs have no numbers and show in ``status``.
-    """
+    row: dict[str, Any]
+    runs: list[Run]
+
+
+def methods(runs: Sequence[Run]) -> list[MethodRuns]:
+    """The runs by method; those of a data set and backend follow one another."""
+    varied, data = varied_settings(runs), varied_data(runs)
+    groups: dict[str, list[Run]] = {}
+    for run in runs:
+        groups.setdefault(method_key(run), []).append(run)
+    found = [
+        MethodRuns(
+            _median_row([row(run, varied[run.path], data[run.path]) for run in group]), group
+        )
+        for group in groups.values()
+    ]
+    order: dict[tuple[Any, Any], int] = {}
+    for one in found:
+        order.setdefault((one.row["data"], one.row["backend"]), len(order))
+    return sorted(found, key=lambda one: order[(one.row["data"], one.row["backend"])])
+
+
+def over_seeds(runs: Sequence[Run]) -> pd.DataFrame:
+    """One row a method, as ``MethodRuns`` says."""
     import pandas as pd
 
-    varied, data = varied_settings(runs), varied_data(runs)
-    groups: dict[str, list[dict[str, Any]]] = {}
-    for run in runs:
-        groups.setdefault(method_key(run), []).append(row(run, varied[run.path], data[run.path]))
-    rows = [_median_row(group) for group in groups.values()]
-    order: dict[tuple[Any, Any], int] = {}
-    for one in rows:
-        order.setdefault((one["data"], one["backend"]), len(order))
-    return _last(pd.DataFrame(sorted(rows, key=lambda r: order[(r["data"], r["backend"])])))
+    return _last(pd.DataFrame([method.row for method in methods(runs)]))
 
 
 def method_key(run: Run) -> str:

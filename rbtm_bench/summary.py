@@ -43,16 +43,22 @@ def of_run(out: Path) -> str:
     run = results.read_run(out)
     row = results.row(run)
     head = f"{row['dataset']}, {row['backend']}, {row['selector']}"
-    lines = [f"{head}: {row['scans']} scans in {row['seconds']:.1f} s"]
+    lines = [f"{head}: {row['scans']} scans in {row['seconds']:.1f} s", *key_numbers(row)]
+    if run.record.get("skipped_records"):
+        lines.append(f"  {run.record['skipped_records']} malformed records were skipped")
+    lines.append(f"results in {out}   (figures: rbtm-bench plot {out})")
+    return "\n".join(lines)
+
+
+def key_numbers(row: dict[str, Any]) -> list[str]:
+    """A line for each of a run's main numbers."""
+    lines = []
     for key, name, unit in RUN_LINES:
         value = row.get(key)
         if value is not None:
             number = f"{value:.4g}" if isinstance(value, float) else str(value)
             lines.append(f"  {name:<30} {number:>10} {unit}".rstrip())
-    if run.record.get("skipped_records"):
-        lines.append(f"  {run.record['skipped_records']} malformed records were skipped")
-    lines.append(f"results in {out}   (figures: rbtm-bench plot {out})")
-    return "\n".join(lines)
+    return lines
 
 
 def of_runs(out: Path, folders: Sequence[Path]) -> str:

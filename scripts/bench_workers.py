@@ -19,6 +19,8 @@ from pathlib import Path
 
 import pandas as pd
 
+from rbtm_bench.metrics.cost import COLUMNS
+
 SWEEP = [
     "backend=open3d_gicp",
     "dataset.scans=361",
@@ -29,7 +31,7 @@ SWEEP = [
     "seed=0,1,2,3",
     "hydra/launcher=joblib",
 ]
-TIMES = ("seconds", "ms_per_scan")
+TIMES = ("seconds", *COLUMNS)
 
 
 def sweep(jobs: int, out: Path) -> tuple[float, pd.DataFrame]:

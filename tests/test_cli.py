@@ -14,7 +14,7 @@ import pytest
 from rbtm_bench import __version__
 from rbtm_bench.cli import HELP, main
 
-COMMANDS = ("run", "compare", "sweep", "table", "plot", "list", "doctor")
+COMMANDS = ("run", "compare", "sweep", "table", "show", "diff", "plot", "list", "doctor")
 HEAVY = ("numpy", "scipy", "hydra", "omegaconf", "pydantic", "pandas", "matplotlib", "open3d")
 
 

@@ -20,6 +20,7 @@ from rbtm_bench.datasets.corridor import Corridor
 from rbtm_bench.errors import ConfigError, RunError
 from rbtm_bench.metrics.ape import Ape
 from rbtm_bench.metrics.final_pose import FinalPose
+from rbtm_bench.metrics.kitti import Kitti
 from rbtm_bench.metrics.relations import RelationError
 from rbtm_bench.metrics.rpe import Rpe
 from rbtm_bench.metrics.summary import COLUMNS
@@ -135,12 +136,13 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_files_of_a_run(done: Path) -> None:
-    assert sorted(p.name for p in done.iterdir()) == sorted(experiment.FILES)
+    expected = set(experiment.FILES) - {"relations.parquet"}  # the corridor has no relations
+    assert {p.name for p in done.iterdir()} == expected
 
 
 def test_no_scores_no_similarity_file(tmp_path: Path) -> None:
     assert run(tmp_path, "backend=none", "selector=previous") == 0
-    expected = set(experiment.FILES) - {"similarity.npz"}
+    expected = set(experiment.FILES) - {"similarity.npz", "relations.parquet"}
     assert {p.name for p in tmp_path.iterdir()} == expected
 
 
@@ -175,8 +177,8 @@ def test_trajectory_and_truth(done: Path) -> None:
 
 def test_metrics_have_every_key_and_nothing_made_up(done: Path) -> None:
     metrics = json.loads((done / "metrics.json").read_text())
-    families = (COLUMNS, FinalPose.columns, Ape.columns, Rpe.columns, RelationError.columns)
-    assert set(metrics) == {key for family in families for key in family}
+    families = (FinalPose, Ape, Rpe, Kitti, RelationError)
+    assert set(metrics) == set(COLUMNS).union(*(family.columns for family in families))
     assert all(metrics[key] is None for key in RelationError.columns)  # no relations: not 0
     steps = steps_of(done)
     assert metrics["mean_gap"] == pytest.approx(np.mean(steps["gap"][1:]))
@@ -202,6 +204,10 @@ def test_map_and_similarity(done: Path) -> None:
     assert points.dtype == np.float32 and points.shape[1] == 3 and len(points) > 100
     cells = np.floor(points.astype(float) / 0.05).astype(int)
     assert len(np.unique(cells, axis=0)) > 0.99 * len(points)  # float32 may cross a border
+    grid = np.load(done / "map.npz")
+    assert float(grid["cell"]) == 0.05 and grid["hits"].max() <= 20
+    columns, rows = np.floor((points[:, :2] - grid["corner"]) / 0.05).astype(int).T
+    assert np.mean(grid["hits"][rows, columns] > 0) > 0.99  # float32 may cross a border
     similarity = np.load(done / "similarity.npz")
     assert np.array_equal(similarity["scans"], np.arange(20))
     assert similarity["scores"].shape == (20, 20)

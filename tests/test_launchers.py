@@ -14,6 +14,7 @@ import pytest
 
 from rbtm_bench import jobs
 from rbtm_bench.errors import ConfigError
+from rbtm_bench.metrics.cost import COLUMNS
 from rbtm_bench.settings import composed, composing
 
 WORDS = ("backend=open3d_p2p", "selector.window=4,8", "seed=0,1", "dataset.scans=10")
@@ -46,10 +47,10 @@ def sweep(out: Path, launcher: str, *words: str) -> tuple[int, str]:
 
 def table(out: Path) -> list[dict[str, str]]:
     """The rows of a sweep without what differs from time to time."""
-    times = ("ms_per_", "seconds", "_ms", "reused", "computed")
+    costs = ("seconds", "reused", *COLUMNS)
     with open(out / "table.csv", newline="") as file:
         return [
-            {key: value for key, value in row.items() if not any(t in key for t in times)}
+            {key: value for key, value in row.items() if key not in costs}
             for row in csv.DictReader(file)
         ]
 

@@ -11,6 +11,7 @@ from sweep_helpers import MOODY, SMALL, TESTS, call, edit, outside, record_of, r
 
 from rbtm_bench import sweeps
 from rbtm_bench.errors import ConfigError, DataError
+from rbtm_bench.metrics.cost import COLUMNS
 from rbtm_bench.settings import compose_settings
 from rbtm_bench.sweeps import Asked
 
@@ -122,8 +123,9 @@ def copy(done: Path, tmp_path: Path) -> Iterator[Path]:
 
 
 def numbers(out: Path) -> list[dict[str, str]]:
-    cost = ("seconds", "ms_per_scan", "reused")
-    return [{k: v for k, v in row.items() if k not in cost} for row in rows(out).values()]
+    """A table's rows without what differs from time to time."""
+    costs = ("seconds", "reused", *COLUMNS)
+    return [{k: v for k, v in row.items() if k not in costs} for row in rows(out).values()]
 
 
 def damage(run: Path, how: str) -> None:

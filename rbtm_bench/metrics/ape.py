@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -39,12 +39,32 @@ class Ape(Metric):
         self, estimate: Trajectory, truth: Trajectory | None, relations: Relations | None = None
     ) -> Values:
         """See ``Metric.evaluate``; ``relations`` are not used."""
-        pair = paired(estimate, truth)
-        if pair is None or (self.align == "umeyama" and _is_collinear(*pair)):
+        ape = self._processed(estimate, truth)
+        if ape is None:
             return self.nothing()
 
+        from evo.core.metrics import StatisticsType
+
+        return {
+            "ape_rmse_m": float(ape.get_statistic(StatisticsType.rmse)),
+            "ape_mean_m": float(ape.get_statistic(StatisticsType.mean)),
+            "ape_max_m": float(ape.get_statistic(StatisticsType.max)),
+        }
+
+    def distances(self, estimate: Trajectory, truth: Trajectory | None) -> Array | None:
+        """The distances (M,) m that the statistics are of, one a pose that is known on both
+        sides; None where they are None."""
+        ape = self._processed(estimate, truth)
+        return None if ape is None else np.asarray(ape.error, dtype=np.float64)
+
+    def _processed(self, estimate: Trajectory, truth: Trajectory | None) -> Any:
+        """evo's APE of the aligned positions, None where there is none."""
+        pair = paired(estimate, truth)
+        if pair is None or (self.align == "umeyama" and is_collinear(*pair)):
+            return None
+
         from evo.core.geometry import GeometryException
-        from evo.core.metrics import APE, StatisticsType
+        from evo.core.metrics import APE
         from evo.core.trajectory import PosePath3D
 
         path, reference = (PosePath3D(poses_se3=list(T)) for T in pair)
@@ -54,17 +74,13 @@ class Ape(Metric):
             try:
                 path.align(reference)
             except GeometryException:
-                return self.nothing()
+                return None
         ape = APE()
         ape.process_data((reference, path))
-        return {
-            "ape_rmse_m": float(ape.get_statistic(StatisticsType.rmse)),
-            "ape_mean_m": float(ape.get_statistic(StatisticsType.mean)),
-            "ape_max_m": float(ape.get_statistic(StatisticsType.max)),
-        }
+        return ape
 
 
-def _is_collinear(estimate: Array, truth: Array) -> bool:
+def is_collinear(estimate: Array, truth: Array) -> bool:
     """Whether the fit of poses (M, 4, 4) to others leaves a rotation open.
 
     evo's own test holds the singular values against an absolute 2e-16, so on a long straight path

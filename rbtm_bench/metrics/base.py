@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from rbtm_bench.datasets.base import Relations
+from rbtm_bench.datasets.base import Dataset, Relations
 from rbtm_bench.errors import DataError
 from rbtm_bench.trajectory import Mask, Trajectory, orthonormalised
 from rbtm_bench.types import Array
@@ -17,6 +17,10 @@ Values = dict[str, float | int | None]
 
 MIN_POSES = 2
 """Fewer poses hold no motion: with the first pose aligned every error would be a hollow 0."""
+
+REFERENCES = {"_truth": "truth", "_still": "no motion"}
+"""Ends of keys that hold the number of another trajectory than the estimate: of the truth, and of
+no motion at all. In a table they are rows of their own, not columns."""
 
 RIGID_TOLERANCE = 1e-6
 """How far from orthonormal a rotation may be once rounding errors are removed."""
@@ -46,6 +50,32 @@ class Metric(ABC):
     def nothing(self) -> Values:
         """Every key of this metric with None."""
         return dict.fromkeys(self.columns)
+
+
+class ScanMetric(Metric):
+    """A metric that looks at the scans as well; alone with trajectories it knows nothing."""
+
+    def evaluate(
+        self, estimate: Trajectory, truth: Trajectory | None, relations: Relations | None = None
+    ) -> Values:
+        """Every key with None: without scans there is nothing to measure."""
+        return self.nothing()
+
+    @abstractmethod
+    def evaluate_scans(
+        self, estimate: Trajectory, truth: Trajectory | None, dataset: Dataset
+    ) -> Values:
+        """As ``evaluate``, with the data set whose scans the poses of ``estimate`` belong to, in
+        order. Raises ``DataError`` if their numbers differ."""
+
+
+def evaluated(
+    metric: Metric, estimate: Trajectory, truth: Trajectory | None, dataset: Dataset
+) -> Values:
+    """What a metric makes of a run, whether or not it needs the scans."""
+    if isinstance(metric, ScanMetric):
+        return metric.evaluate_scans(estimate, truth, dataset)
+    return metric.evaluate(estimate, truth, dataset.relations)
 
 
 def paired(estimate: Trajectory, truth: Trajectory | None) -> tuple[Array, Array] | None:

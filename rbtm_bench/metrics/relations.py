@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from rbtm_bench.datasets.base import Relations
 from rbtm_bench.geometry import inverse, rotation_angle, translation_norm
 from rbtm_bench.metrics.base import Metric, Values
+from rbtm_bench.relation_errors import RelationErrors
 from rbtm_bench.trajectory import Mask, Trajectory
 from rbtm_bench.types import Array
 
@@ -74,25 +75,29 @@ class RelationError(Metric):
         """See ``Metric.evaluate``; ``truth`` is not used."""
         if relations is None or len(relations) == 0:
             return self.nothing()
+        errors = self.errors(estimate, relations)
+        local = errors.local
+        groups = {"": np.ones_like(local), "local_": local, "long_": ~local}
+        values: Values = {}
+        for name, group in groups.items():
+            prefix, inside = f"relations_{name}", group & errors.used
+            values |= _counts(prefix, group, errors.used)
+            values |= _spread(f"{prefix}translation", "m", errors.translation_m[inside])
+            values |= _spread(f"{prefix}rotation", "deg", errors.rotation_deg[inside])
+        return values
+
+    def errors(self, estimate: Trajectory, relations: Relations) -> RelationErrors:
+        """The error of every relation, NaN for one with an unmatched end."""
         known = estimate.known
         stamps, T = estimate.stamps[known], estimate.T_world_scan[known]
         i = nearest(stamps, relations.start, self.tolerance_s)
         j = nearest(stamps, relations.end, self.tolerance_s)
         used = (i >= 0) & (j >= 0)
         E = inverse(relations.T_start_end[used]) @ inverse(T[i[used]]) @ T[j[used]]
-        translation, rotation = translation_norm(E), np.degrees(rotation_angle(E))
-
+        translation, rotation = np.full((2, len(relations)), np.nan)
+        translation[used], rotation[used] = translation_norm(E), np.degrees(rotation_angle(E))
         local = np.abs(relations.end - relations.start) <= self.local_s
-        groups = {"": np.ones_like(local), "local_": local, "long_": ~local}
-        values: Values = {}
-        for name, group in groups.items():
-            # The errors are those of the used relations: take the group's share of them.
-            inside = group[used]
-            prefix = f"relations_{name}"
-            values |= _counts(prefix, group, used)
-            values |= _spread(f"{prefix}translation", "m", translation[inside])
-            values |= _spread(f"{prefix}rotation", "deg", rotation[inside])
-        return values
+        return RelationErrors(relations.start, relations.end, local, translation, rotation)
 
 
 def nearest(stamps: Array, times: Array, tolerance_s: float) -> NDArray[np.intp]:

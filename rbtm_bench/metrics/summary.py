@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from rbtm_bench.degeneracy import DEGENERATE
+from rbtm_bench.metrics import cost
 from rbtm_bench.metrics.base import Values
 from rbtm_bench.types import StepRecord
 
@@ -22,18 +23,13 @@ COLUMNS = {
     "mean_fitness": "share; mean fitness over registered scans; our evaluator",
     "localizability": "share; median of the smallest eigenvalue over registered scans; evaluator",
     "degenerate": f"share; registered scans whose smallest eigenvalue is < {DEGENERATE}; evaluator",
-    "ms_per_scan": "ms; mean time of prepare, describe, guess, select and register, evaluation of "
-    "the result excluded, a shared answer counts with the time it took when it was computed; steps",
+    **cost.COLUMNS,
 }
 
 
-def summarise_steps(records: Sequence[StepRecord]) -> Values:
+def summarise_steps(records: Sequence[StepRecord], peak_memory_mb: float | None = None) -> Values:
     """The keys of ``COLUMNS``; a mean over nothing is None."""
     registered = [r for r in records if r.status in ("registered", "fallback")]
-    work = [
-        r.t_prepare_s + r.t_describe_s + r.t_guess_s + r.t_select_s + r.t_register_s
-        for r in records
-    ]
     held = [r.localizability_min for r in registered if r.localizability_min is not None]
     gaps = [r.gap for r in registered if r.gap is not None]
     fitness = [r.fitness for r in registered if r.fitness is not None]
@@ -50,5 +46,5 @@ def summarise_steps(records: Sequence[StepRecord]) -> Values:
         "mean_fitness": float(np.mean(fitness)) if fitness else None,
         "localizability": float(np.median(held)) if held else None,
         "degenerate": float(np.mean(np.array(held) < DEGENERATE)) if held else None,
-        "ms_per_scan": 1e3 * float(np.mean(work)) if work else None,
+        **cost.cost(records, peak_memory_mb),
     }

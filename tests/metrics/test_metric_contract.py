@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import pkgutil
 import subprocess
 import sys
@@ -11,13 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hydra.utils import instantiate
-from omegaconf import OmegaConf
 
 import rbtm_bench.metrics
 from rbtm_bench.datasets.base import Relations
 from rbtm_bench.errors import DataError
-from rbtm_bench.metrics.base import Metric
+from rbtm_bench.metrics.base import REFERENCES, Metric, ScanMetric
+from rbtm_bench.metrics.map_quality import MapQuality
 from rbtm_bench.metrics.summary import COLUMNS
+from rbtm_bench.settings import compose_settings
 from rbtm_bench.trajectory import Trajectory
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,7 +30,7 @@ def families() -> list[type[Metric]]:
     found = []
     for module in pkgutil.iter_modules(rbtm_bench.metrics.__path__, "rbtm_bench.metrics."):
         for item in vars(importlib.import_module(module.name)).values():
-            if isinstance(item, type) and issubclass(item, Metric) and item is not Metric:
+            if isinstance(item, type) and issubclass(item, Metric) and not inspect.isabstract(item):
                 found.append(item)
     return found
 
@@ -38,8 +40,9 @@ every_family = pytest.mark.parametrize("family", families(), ids=lambda family: 
 
 def test_there_are_families_and_no_key_is_used_twice():
     keys = [key for family in families() for key in family.columns]
-    assert len(families()) == 4
-    assert len(keys) == len(set(keys)) == 29
+    assert len(families()) == 6
+    assert len(keys) == len(set(keys)) == 45
+    assert not set(keys) & set(COLUMNS)
 
 
 @every_family
@@ -110,20 +113,31 @@ def test_truth_that_does_not_fit_is_refused(name, planar):
             metric.evaluate(estimate, truth, None)
 
 
-def test_default_config_builds_every_family():
-    config = OmegaConf.load(ROOT / "configs" / "metrics" / "default.yaml")
-    built = instantiate(config)
-    assert {type(metric) for metric in built.values()} == set(families())
+@pytest.mark.parametrize("name", ["default", "maps"])
+def test_configs_build_every_family(name):
+    """The default all that need no scans, maps the others as well."""
+    built = instantiate(compose_settings([f"metrics={name}"]).config["metrics"])
+    expected = {f for f in families() if name == "maps" or not issubclass(f, ScanMetric)}
+    assert {type(metric) for metric in built.values()} == expected
     # The file states the defaults of the classes, so that both ways in give the same numbers.
     for metric in built.values():
         assert vars(metric) == vars(type(metric)())
 
 
+def test_map_quality_comes_with_the_truth_and_no_motion():
+    """For every trajectory of reference each number that it has of the estimate."""
+    keys = set(MapQuality.columns)
+    own = {key for key in keys if not key.endswith(tuple(REFERENCES))}
+    assert keys == own | {key + end for key in own for end in REFERENCES}
+
+
 def test_importing_the_package_loads_nothing_heavy():
     code = (
         "import sys; import rbtm_bench.metrics, rbtm_bench.trajectory\n"
-        "from rbtm_bench.metrics import ape, final_pose, relations, rpe\n"
-        "heavy = {'evo', 'pandas', 'matplotlib', 'open3d', 'hydra'} & set(sys.modules)\n"
+        "from rbtm_bench.metrics import ape, cost, final_pose, kitti, relations, rpe\n"
+        "import rbtm_bench.tables.references\n"
+        "heavy = {'evo', 'pandas', 'matplotlib', 'open3d', 'hydra', 'kiss_icp', 'numba'}\n"
+        "heavy &= set(sys.modules)\n"
         "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)

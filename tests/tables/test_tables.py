@@ -277,5 +277,5 @@ def test_no_verdict_without_both_sides(rows: list[dict[str, Any]]) -> None:
 
 
 def test_figures_have_three_digits() -> None:
-    words = [tables._figure(v) for v in (0.123456, 12.345, 123.45, 12345.6, 2e7)]
+    words = [tables.three_digits(v) for v in (0.123456, 12.345, 123.45, 12345.6, 2e7)]
     assert words == ["0.123", "12.3", "123", "12346", "2e+07"]

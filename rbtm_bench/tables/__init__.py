@@ -8,6 +8,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.errors import ConfigError
+from rbtm_bench.results import METHOD
+from rbtm_bench.tables.references import accompanied, judged, with_references
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -21,16 +23,11 @@ ERRORS = (
 )
 """What methods are compared by: the first of these that the runs on a data set have."""
 
+BEST = (*METHOD, "seeds", "status", "coverage")
+"""The columns of the table of best settings, before the errors, ms_per_scan and tried."""
+
 SHORT = (
-    "data",
-    "backend",
-    "selector",
-    "window",
-    "threshold",
-    "settings",
-    "seeds",
-    "status",
-    "coverage",
+    *BEST,
     "final_translation_error_mm",
     "final_along_mm",
     "final_cross_mm",
@@ -46,22 +43,12 @@ SHORT = (
     "fallbacks",
     "mean_gap",
     "degenerate",
+    "map_entropy_nat",
+    "map_variance_mm2",
+    "map_cells",
     "ms_per_scan",
 )
 """The columns of the table at the end of ``compare``."""
-
-BEST = (
-    "data",
-    "backend",
-    "selector",
-    "window",
-    "threshold",
-    "settings",
-    "seeds",
-    "status",
-    "coverage",
-)
-"""The columns of the table of best settings, before the errors, ms_per_scan and tried."""
 
 TOLD = 4
 """Names or sentences of a kind at most, so that a screen holds all."""
@@ -78,7 +65,9 @@ SECOND = {
 
 def render(table: pd.DataFrame, fmt: str) -> str:
     """The table in one of ``FORMATS``. Text, Markdown, LaTeX and HTML leave out columns that are
-    empty in every row and round to 4 digits; CSV and JSON keep everything."""
+    empty in every row and round to 4 digits; CSV and JSON keep everything. Numbers that say little
+    without those of the truth and of no motion have them in rows at the end."""
+    table = with_references(table)
     if fmt == "csv":
         return table.to_csv(index=False).rstrip("\n")
     if fmt == "json":
@@ -117,7 +106,7 @@ def existing_columns(table: pd.DataFrame, names: str) -> list[str]:
     for name in wanted:
         if name not in table:
             raise ConfigError(f"--columns {name}: no such column. Known: {', '.join(table)}")
-    return wanted
+    return accompanied(table, wanted)
 
 
 def screen(
@@ -125,9 +114,10 @@ def screen(
 ) -> tuple[pd.DataFrame, str]:
     """The columns that fit a screen, and in words those that are the same in every row (unless
     they are to be kept)."""
-    shown = table[[c for c in columns if c in table]]
+    shown = table[accompanied(table, [c for c in columns if c in table])]
     if len(table) < 2:
         return shown, ""
+    keep = (*keep, *accompanied(shown, judged(shown)))
     same = [c for c in shown if c not in keep and len({_word(v) for v in shown[c]}) == 1]
     words = [f"{c} {_word(shown[c].iloc[0])}" for c in same if _word(shown[c].iloc[0])]
     return shown.drop(columns=same), ", ".join(words)
@@ -263,14 +253,14 @@ def verdict(table: pd.DataFrame, say_tries: bool = True) -> list[str]:
         if best is None or rival is None or backend == "none":
             continue
         line = (
-            f"{data}, {backend}: {name} of {_label(best)} is {_figure(best[key])} {unit}, "
-            f"of the best control, {_label(rival)}, {_figure(rival[key])} {unit}: "
+            f"{data}, {backend}: {name} of {_label(best)} is {three_digits(best[key])} {unit}, "
+            f"of the best control, {_label(rival)}, {three_digits(rival[key])} {unit}: "
             f"{_relation(float(best[key]), float(rival[key]))}"
         )
         previous = rows[rows.selector == "previous"]
         if not previous.empty and rival.selector != "previous":
             value = float(previous[key].min())
-            line += f"; previous {_figure(value)} {unit}, {_relation(float(best[key]), value)}"
+            line += f"; previous {three_digits(value)} {unit}, {_relation(float(best[key]), value)}"
         line += _without_registration(table, str(data), key, unit, float(best[key]))
         tries = methods.groupby("selector", sort=False).size()
         if say_tries and tries.max() > 1:
@@ -286,7 +276,7 @@ def _without_registration(table: pd.DataFrame, data: str, key: str, unit: str, o
     if rows.empty:
         return ""
     value = float(rows.min())
-    return f"; no registration {_figure(value)} {unit}, {_relation(ours, value)}"
+    return f"; no registration {three_digits(value)} {unit}, {_relation(ours, value)}"
 
 
 def _label(row: pd.Series[Any]) -> str:
@@ -307,7 +297,7 @@ def _relation(ours: float, other: float) -> str:
     return f"rbtm is {ratio:.3g} times {'better' if ours < other else 'worse'}"
 
 
-def _figure(value: float) -> str:
+def three_digits(value: float) -> str:
     """Three significant digits, without an exponent for everyday numbers."""
     return f"{value:.0f}" if 100 <= abs(value) < 1e6 else f"{value:.3g}"
 
