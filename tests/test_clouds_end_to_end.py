@@ -70,8 +70,9 @@ def test_truth_is_the_poses_file(clouds: Path, compared: Path) -> None:
     truth = Trajectory.read_tum(compared / "kiss_icp-rbtm" / "ground_truth.tum")
     assert np.allclose(truth.T_world_scan, written.T_world_scan, atol=1e-9)
     assert np.array_equal(truth.stamps, written.stamps)
-    points = np.load(compared / "kiss_icp-rbtm" / "map.npz")["points"]
-    assert np.ptp(points[:, 2]) > 2.0  # a map in space, not of a plane
+    kept = np.load(compared / "kiss_icp-rbtm" / "map.npz")
+    assert np.ptp(kept["points"][:, 2]) > 2.0  # a map in space, not of a plane
+    assert "hits" not in kept  # nor an occupancy grid
 
 
 def test_without_poses_there_is_no_truth_and_no_error(clouds: Path, tmp_path: Path) -> None:

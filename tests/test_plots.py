@@ -111,6 +111,7 @@ def test_two_runs_give_every_figure_of_a_run_and_the_pair(tmp_path: Path):
     assert stems(files) == {
         *("std-map", "std-gap", "ours-map", "ours-gap", "ours-similarity"),
         "corridor-open3d_p2p-standard_beside_rbtm",
+        *("corridor-trajectories", "corridor-error_over_path"),
     }
     for file in files:
         if file.suffix == ".png":
@@ -136,7 +137,7 @@ def test_many_runs_give_the_comparison_and_one_representative(tmp_path: Path):
         "open3d_p2p-rbtm-1-gap",
         "open3d_p2p-rbtm-1-similarity",
         "corridor-open3d_p2p-seed1-standard_beside_rbtm",
-        "errors",
+        *("errors", "corridor-trajectories", "corridor-error_over_path"),
     }
 
 
@@ -153,7 +154,8 @@ def test_failed_and_running_runs_are_left_out(tmp_path: Path):
         make_run(tmp_path / "open", "fixed_gap", status="started"),
     ]
     files = plots.draw(runs, tmp_path / "figures")
-    assert stems(files) == {"good-map", "good-gap", "good-similarity", "errors"}
+    found = {"good-map", "good-gap", "good-similarity", "errors", "corridor-error_over_path"}
+    assert stems(files) == found
     figure = methods.errors(runs)
     assert figure is not None
     assert "2 of 3 runs are not done" in texts(figure) and "no result" in texts(figure)
@@ -166,7 +168,7 @@ def test_nothing_to_draw_says_why(tmp_path: Path):
     with pytest.raises(DataError, match=r"none of 1 run.*bad is failed: the lid is shut"):
         plots.draw([failed], tmp_path)
     empty = make_run(tmp_path / "empty", "rbtm")
-    for name in ("map.npz", "steps.parquet", "similarity.npz"):
+    for name in ("map.npz", "steps.parquet", "similarity.npz", "trajectory.tum"):
         (empty.path / name).unlink()
     with pytest.raises(DataError, match="no map, steps, similarity or error in empty"):
         plots.draw([empty], tmp_path)

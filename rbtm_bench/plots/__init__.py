@@ -1,19 +1,37 @@
 """Figures of runs, from the files in their folders, each as PNG and PDF.
 
-``draw`` decides which figures a set of runs deserves; ``maps``, ``steps``, ``matrix``,
-``methods``, ``heatmaps`` and ``lines`` hold one kind of figure each, ``folder`` reads, ``studies``
-sorts a sweep by its settings, ``labels`` words, ``style`` saves.
+``draw`` decides which figures a set of runs deserves. One kind of figure each: ``maps``,
+``occupancy``, ``steps`` and ``matrix`` of a run; ``trajectories``, ``growth``, ``cost``,
+``methods`` and ``boxes`` of methods side by side; ``heatmaps`` and ``lines`` of a sweep.
+``folder`` reads, ``groups`` sorts runs by data set, backend and method, ``studies`` a sweep by
+its settings; ``panels`` lays out, ``placing`` places labels, ``labels`` words, ``looks`` and
+``style`` say how it looks, ``style`` saves.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
 from rbtm_bench.errors import DataError
-from rbtm_bench.plots import heatmaps, labels, lines, maps, matrix, methods, steps, style
+from rbtm_bench.plots import (
+    boxes,
+    cost,
+    groups,
+    growth,
+    heatmaps,
+    labels,
+    lines,
+    maps,
+    matrix,
+    methods,
+    occupancy,
+    steps,
+    style,
+    trajectories,
+)
 from rbtm_bench.plots.pairs import standard_and_rbtm
 from rbtm_bench.plots.studies import studies
 from rbtm_bench.results import Run
@@ -28,9 +46,17 @@ Named = tuple[str, Figure]
 def draw(runs: Sequence[Run], out: Path) -> list[Path]:
     """Draw the figures that the runs allow into the folder ``out`` and return the files.
 
-    - ``<run>-map``, ``<run>-gap``, ``<run>-similarity``: a run's map with trajectory and truth,
-      the model scan that each scan used, and the similarity matrix. Of more than 6 runs, the last
-      two only, for one rbtm run a data set, which the title names.
+    - ``<run>-map``, ``<run>-occupancy``, ``<run>-gap``, ``<run>-similarity``: a run's map with
+      trajectory and truth, as points and (in the plane) as an occupancy grid, the model scan that
+      each scan used, and the similarity matrix. Of more than 6 runs, the last three only, for one
+      rbtm run a data set, which the title names.
+    - ``<dataset>-trajectories``: the paths of all methods upon the truth, a panel a backend, from
+      2 methods on.
+    - ``<dataset>-error_over_path``: the APE of every scan over the true path, where it is known.
+    - ``<dataset>-accuracy_time``: the error of every method over its time a scan, with the Pareto
+      front, from 2 methods on.
+    - ``<dataset>-boxes``: the error over seeds, where a method has 4 or more, and not more methods
+      than fit a page.
     - ``<dataset>-<backend>[-seedN]-standard_beside_rbtm``: the paper's Fig. 4, for runs that
       differ in the selector alone; of several seeds the lowest, of several settings of rbtm the
       first (not the best: that would be chosen on this very data), and the title says so.
@@ -61,9 +87,11 @@ def _figures(runs: list[Run], done: list[Run]) -> Iterator[Named]:
     if len(runs) <= MANY:
         for run in done:
             yield from _present(stems[run], "map", maps.single(run))
+            yield from _present(stems[run], "occupancy", occupancy.draw(run))
             yield from _of_selection(stems[run], run, note="")
     else:
         for run, note in _representatives(done):
+            yield from _present(stems[run], "occupancy", occupancy.draw(run, note))
             yield from _of_selection(stems[run], run, note)
     for pair in standard_and_rbtm(done):
         yield from _present(pair.stem, "standard_beside_rbtm", maps.beside(pair))
@@ -71,12 +99,28 @@ def _figures(runs: list[Run], done: list[Run]) -> Iterator[Named]:
         figure = methods.errors(runs)
         if figure is not None:
             yield "errors", figure
+    yield from _of_methods(runs)
     for study in studies(runs):
         if len(study.axes) == 1:
             yield f"{study.stem}-line", lines.draw(study)
             continue
-        for number, figure in enumerate(heatmaps.draw(study), start=1):
-            yield f"{study.stem}-heatmap" + (f"-{number}" if number > 1 else ""), figure
+        yield from _numbered(f"{study.stem}-heatmap", heatmaps.draw(study))
+
+
+def _of_methods(runs: list[Run]) -> Iterator[Named]:
+    """Figures of all methods side by side, a data set at a time."""
+    for data in groups.data_sets(runs):
+        yield from _numbered(f"{data.stem}-trajectories", trajectories.draw(data))
+        yield from _numbered(f"{data.stem}-error_over_path", growth.draw(data))
+        yield from _numbered(f"{data.stem}-accuracy_time", cost.draw(data))
+    for stem, figure in boxes.draw(runs):
+        yield f"{stem}-boxes", figure
+
+
+def _numbered(stem: str, figures: Iterable[Figure]) -> Iterator[Named]:
+    """The figures with their stems; those after the first have a number."""
+    for number, figure in enumerate(figures, start=1):
+        yield stem + (f"-{number}" if number > 1 else ""), figure
 
 
 def _of_selection(stem: str, run: Run, note: str) -> Iterator[Named]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from rbtm_bench.errors import DataError
 from rbtm_bench.geometry import inverse
+from rbtm_bench.occupancy import Occupancy
 from rbtm_bench.results import Run
 from rbtm_bench.trajectory import Trajectory
 from rbtm_bench.types import Array
@@ -32,6 +33,22 @@ class Scene:
 
 
 @dataclass(frozen=True, eq=False)
+class Paths:
+    """A run's poses: ``truth`` has as many as ``estimate``, in its own frame; None if unknown."""
+
+    estimate: Trajectory
+    truth: Trajectory | None
+
+    @property
+    def truth_from_start(self) -> Array | None:
+        """The true poses (N, 4, 4), moved so that the first agrees with the first estimated."""
+        if self.truth is None:
+            return None
+        first = self.estimate.T_world_scan[0]
+        return first @ inverse(self.truth.T_world_scan[0]) @ self.truth.T_world_scan
+
+
+@dataclass(frozen=True, eq=False)
 class Steps:
     """Columns of ``steps.parquet``, (N,) each; NaN where there is no model scan or score.
     ``held`` is the smallest eigenvalue of the localizability."""
@@ -45,8 +62,8 @@ class Steps:
 
 def read_scene(run: Run) -> Scene | None:
     """Map and trajectories, None without a map or a trajectory. Raises ``DataError``."""
-    arrays = _npz(run.path / "map.npz", ("points",))
-    if arrays is None or not (run.path / "trajectory.tum").is_file():
+    arrays, paths = _npz(run.path / "map.npz", ("points",)), read_paths(run)
+    if arrays is None or paths is None:
         return None
     points = arrays[0]
     if points.ndim != 2 or points.shape[1] != 3:
@@ -55,12 +72,36 @@ def read_scene(run: Run) -> Scene | None:
     planar = bool(len(points) == 0 or np.ptp(points[:, 2]) == 0.0)
     if len(points) > DRAWN:
         points = points[np.linspace(0, len(points) - 1, DRAWN).round().astype(np.int64)]
-    T = Trajectory.read_tum(run.path / "trajectory.tum").T_world_scan
-    truth = None
-    if (run.path / "ground_truth.tum").is_file():
-        G = Trajectory.read_tum(run.path / "ground_truth.tum").T_world_scan
-        truth = (T[0] @ inverse(G[0]) @ G)[:, :2, 3]
-    return Scene(points[:, :2], T[:, :2, 3], truth, planar)
+    G = paths.truth_from_start
+    truth = None if G is None else G[:, :2, 3]
+    return Scene(points[:, :2], paths.estimate.T_world_scan[:, :2, 3], truth, planar)
+
+
+def read_paths(run: Run) -> Paths | None:
+    """The trajectories, None without an estimated one. Raises ``DataError``."""
+    path, true = run.path / "trajectory.tum", run.path / "ground_truth.tum"
+    if not path.is_file():
+        return None
+    estimate = Trajectory.read_tum(path)
+    truth = Trajectory.read_tum(true) if true.is_file() else None
+    if truth is not None and len(truth) != len(estimate):
+        raise DataError(f"{true}: {len(truth)} poses, expected {len(estimate)} as in {path.name}")
+    return Paths(estimate, truth)
+
+
+def read_occupancy(run: Run) -> Occupancy | None:
+    """The grid kept with the map, None for a run without (in space, or an old one). Raises
+    ``DataError``."""
+    path = run.path / "map.npz"
+    arrays = _npz(path, ("hits", "passed", "corner", "cell"), optional=True)
+    if arrays is None:
+        return None
+    hits, passed, corner, cell = arrays
+    fits = hits.shape == passed.shape and hits.ndim == 2 and corner.shape == (2,)
+    if not fits or cell.shape != () or not cell > 0:
+        raise DataError(f"{path}: hits {hits.shape}, passed {passed.shape}: not a grid")
+    counts = [array.astype(np.uint32) for array in (hits, passed)]
+    return Occupancy(counts[0], counts[1], corner.astype(np.float64), float(cell))
 
 
 def read_steps(run: Run) -> Steps | None:
@@ -93,11 +134,14 @@ def read_similarity(run: Run) -> tuple[Array, Array] | None:
     return (scans, scores) if len(scans) else None
 
 
-def _npz(path: Path, names: tuple[str, ...]) -> list[NDArray[Any]] | None:
+def _npz(path: Path, names: tuple[str, ...], optional: bool = False) -> list[NDArray[Any]] | None:
+    """The arrays, None without the file, or without the first of them if they are optional."""
     if not path.is_file():
         return None
     try:
         with np.load(path) as archive:
+            if optional and names[0] not in archive:
+                return None
             return [archive[name] for name in names]
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise DataError(f"{path}: not readable: {_line(error)}") from error

@@ -163,28 +163,39 @@ def panel(ax: Axes, scene: Scene, limits: Limits, dot: float) -> list[Line2D]:
     shade = 1.0 if scene.planar else SHADE
     ax.plot(x, y, **dots, ms=dot, alpha=shade, rasterized=many, zorder=1)
     handles = [Line2D([], [], **dots, ms=2.0, label=_map_label(scene, float(outside)))]
-    _line(ax, scene.path, ESTIMATED, level=3)
-    handles.append(Line2D([], [], **ESTIMATED, label="estimated poses"))
-    if scene.truth is not None:
-        _line(ax, scene.truth, TRUE, level=4)
-        handles.append(Line2D([], [], **TRUE, label="ground truth"))
+    handles += trajectories(ax, scene)
+    frame(ax, limits)
+    return handles
+
+
+def trajectories(ax: Axes, scene: Scene, width: float = 1.0, band: bool = True) -> list[Line2D]:
+    """Draw the estimated and the true path and the start, and return what a legend holds.
+    ``width`` is a factor to the lines'; ``band`` is a white one below each."""
+    handles = []
+    paths = [("estimated poses", scene.path, ESTIMATED), ("ground truth", scene.truth, TRUE)]
+    for level, (name, path, look) in enumerate(paths, start=3):
+        if path is None:
+            continue
+        thin = {**look, "lw": width * look["lw"]}
+        line = {key: value for key, value in thin.items() if not key.startswith("m")}
+        if band:  # hides map dots, but no other trajectory
+            ax.plot(*path.T, color="w", lw=3.0, solid_capstyle="round", zorder=2)
+        ax.plot(*path.T, **line, zorder=level)
+        ax.plot(*path[-1], **{**look, "ls": ""}, zorder=10 - level)
+        handles.append(Line2D([], [], **thin, label=name))
     handles += ax.plot(*scene.path[0], **START, label="start", zorder=5)
+    return handles
+
+
+def frame(ax: Axes, limits: Limits) -> None:
+    """The axes of a map."""
+    x0, x1, y0, y1 = limits
     ax.set(xlim=(x0, x1), ylim=(y0, y1), xlabel="x (m)", ylabel="y (m)")
     ax.set_aspect("equal", adjustable="box")
     step = _nice(max(x1 - x0, y1 - y0) / 6)
     for side, span in ((ax.xaxis, x1 - x0), (ax.yaxis, y1 - y0)):
         # the same step on both sides, unless one is too short for two of them
         side.set_major_locator(MultipleLocator(step if span > 2 * step else _nice(span / 4)))
-    return handles
-
-
-def _line(ax: Axes, path: Array, look: dict[str, Any], level: int) -> None:
-    """A trajectory on a white band, which hides map dots but no other trajectory, and a marker
-    at its end."""
-    line = {key: value for key, value in look.items() if not key.startswith("m")}
-    ax.plot(*path.T, color="w", lw=3.0, solid_capstyle="round", zorder=2)
-    ax.plot(*path.T, **line, zorder=level)
-    ax.plot(*path[-1], **{**look, "ls": ""}, zorder=10 - level)
 
 
 def _nice(about: float) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from rbtm_bench.plots import labels, style
+from rbtm_bench.plots.groups import method_names
 from rbtm_bench.results import Run
 
 PANELS_IN_A_LINE = 4
@@ -75,31 +76,41 @@ class Data:
 def errors(runs: Sequence[Run]) -> Figure | None:
     """Errors by method; None if no run has one. Every data set has an axis of its own, with the
     first of ``tables.ERRORS`` that its runs have."""
-    parts = _parts(runs, settings=True)
+    parts = data_parts(runs, settings=True)
     if sum(part.height for part in parts) > style.TALLEST:  # too many settings for a row each
-        parts = _parts(runs, settings=False)
+        parts = data_parts(runs, settings=False)
     if not parts:
         return None
-    columns = min(max(len(part.backends) for part in parts), PANELS_IN_A_LINE)
-    long_names = max(len(name) for part in parts for name, _ in part.rows) > LONG_NAME
-    width = style.DOUBLE if columns > 1 or long_names else style.SINGLE
+    columns, width = columns_and_width(parts)
     heights = [part.height for part in parts]
     figure = Figure(figsize=(width, sum(heights) + 0.7))
     places = figure.subfigures(len(parts), 1, height_ratios=heights, squeeze=False)[:, 0]
     drawn = [
-        _draw_part(place, part, columns, named=len(parts) > 1)
+        draw_part(place, part, columns, len(parts) > 1, draw_markers)
         for place, part in zip(places, parts, strict=True)
     ]
     figure.suptitle(style.wrapped(_title(runs, parts), width))
     style.legend_below(figure, _legend(parts), columns=4)
-    figure.draw_without_rendering()
-    for label, axes in drawn:  # under the panels, not under the methods' names
-        ends = [ax.get_position() for ax in axes]
-        label.set_x((min(p.x0 for p in ends) + max(p.x1 for p in ends)) / 2)
+    centre(figure, drawn)
     return figure
 
 
-def _parts(runs: Sequence[Run], settings: bool) -> list[Data]:
+def centre(figure: Figure, drawn: Sequence[tuple[Text, list[Axes]]]) -> None:
+    """Put the labels under the panels, not under the methods' names. Call it last."""
+    figure.draw_without_rendering()
+    for label, axes in drawn:
+        ends = [ax.get_position() for ax in axes]
+        label.set_x((min(p.x0 for p in ends) + max(p.x1 for p in ends)) / 2)
+
+
+def columns_and_width(parts: Sequence[Data]) -> tuple[int, float]:
+    """Panels in a line, and the figure's width in inches."""
+    columns = min(max(len(part.backends) for part in parts), PANELS_IN_A_LINE)
+    long_names = max(len(name) for part in parts for name, _ in part.rows) > LONG_NAME
+    return columns, style.DOUBLE if columns > 1 or long_names else style.SINGLE
+
+
+def data_parts(runs: Sequence[Run], settings: bool = True) -> list[Data]:
     """The data sets whose runs have an error; a row a method, or (without ``settings``) a
     selector."""
     by_data: dict[str, list[Run]] = {}
@@ -113,7 +124,7 @@ def _parts(runs: Sequence[Run], settings: bool) -> list[Data]:
             continue
         alike = [r for r in firsts if labels.data_name(r) == labels.data_name(group[0])]
         words = labels.varying(alike, "dataset")[group[0]]
-        rows = labels.method_names(group) if settings else _selectors(group)
+        rows = method_names(group) if settings else _selectors(group)
         name = ", ".join([labels.data_name(group[0]), *words])
         out.append(_data(name, group, rows, found))
     return out
@@ -122,7 +133,7 @@ def _parts(runs: Sequence[Run], settings: bool) -> list[Data]:
 def _selectors(runs: Sequence[Run]) -> dict[Run, str]:
     """Coarse names: the selector and how many settings of it there are."""
     settings: dict[str, set[str]] = {}
-    for run, name in labels.method_names(runs).items():
+    for run, name in method_names(runs).items():
         settings.setdefault(labels.choice(run, "selector"), set()).add(name)
     counts = {selector: len(names) for selector, names in settings.items()}
     words = {s: f"{s} ({n} setting{'s' if n > 1 else ''})" for s, n in counts.items()}
@@ -156,7 +167,13 @@ def _guess(runs: Sequence[Run], key: str) -> float | None:
     return float(np.median(found))
 
 
-def _draw_part(place: SubFigure, part: Data, columns: int, named: bool) -> tuple[Text, list[Axes]]:
+def draw_part(
+    place: Figure | SubFigure,
+    part: Data,
+    columns: int,
+    named: bool,
+    draw_panel: Callable[[Axes, Data, str], None],
+) -> tuple[Text, list[Axes]]:
     """All panels of one data set, with one scale; returns their common label and them."""
     axes = place.subplots(part.lines, columns, sharex=True, sharey=True, squeeze=False)
     _scale(axes[0, 0], part.values)
@@ -166,7 +183,7 @@ def _draw_part(place: SubFigure, part: Data, columns: int, named: bool) -> tuple
         if number >= len(part.backends):
             ax.remove()
             continue
-        _draw_panel(ax, part, part.backends[number])
+        draw_panel(ax, part, part.backends[number])
         ax.set_title(style.plain(part.backends[number]))
         if number + columns >= len(part.backends):
             ax.tick_params(labelbottom=True)
@@ -176,16 +193,17 @@ def _draw_part(place: SubFigure, part: Data, columns: int, named: bool) -> tuple
     return label, list(axes.ravel()[: len(part.backends)])
 
 
-def _draw_panel(ax: Axes, part: Data, backend: str) -> None:
+def draw_markers(ax: Axes, part: Data, backend: str) -> None:
+    """A row of markers a method, one a run, and a line at their median."""
     for height, row in enumerate(part.rows):
         ax.axhline(height, color="0.88", lw=0.5, zorder=0)
         runs = part.cells.get((backend, row), [])
         values = [value for value in runs if value is not None]
         if not values:
-            _remark(ax, height, "no result" if runs else "not run", values)
+            remark(ax, height, "no result" if runs else "not run", values)
             continue
         if len(values) < len(runs):
-            _remark(ax, height, f"{len(values)} of {len(runs)} runs", values)
+            remark(ax, height, f"{len(values)} of {len(runs)} runs", values)
         if len(values) > 1:
             ax.plot(np.median(values), height, ls="", **MEDIAN, zorder=2)
         ax.plot(values, [height] * len(values), ls="", **LOOKS[row[1]], zorder=3)
@@ -193,7 +211,7 @@ def _draw_panel(ax: Axes, part: Data, backend: str) -> None:
         ax.axvline(part.guess, **GUESS, zorder=1)
 
 
-def _remark(ax: Axes, height: int, words: str, values: list[float]) -> None:
+def remark(ax: Axes, height: int, words: str, values: list[float]) -> None:
     """Words in a row, at the end that is farther from its markers; above them if both are full."""
     markers = [ax.transData.transform((value, height))[0] for value in values]
     left, right = ax.transAxes.transform([(0, 0), (1, 0)])[:, 0]

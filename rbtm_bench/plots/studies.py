@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from rbtm_bench.plots import labels
+from rbtm_bench.plots.groups import by_data, file_name, unique
 from rbtm_bench.results import Run
 
 FAVOURITES = ("window", "threshold")
@@ -75,36 +75,22 @@ class Study:
 
 def studies(runs: Sequence[Run]) -> list[Study]:
     """What there is to draw, by data set and selector."""
-    by_data: dict[str, list[Run]] = {}
-    for run in runs:
-        by_data.setdefault(labels.data_key(run), []).append(run)
-    firsts = [group[0] for group in by_data.values()]
-    words = labels.varying(firsts, "dataset")
     out: list[Study] = []
-    for first, group in zip(firsts, by_data.values(), strict=True):
+    for file, name, group in by_data(runs):
         found = labels.main_error([run for run in group if run.done])
         if found is None:
             continue
         real = [run for run in group if labels.choice(run, "backend") != "none"] or group
         controls = _controls(real, found[0])
-        name = ", ".join([labels.data_name(first), *words[first]])
-        file = "-".join([labels.choice(first, "dataset"), *words[first]])
         for selector in dict.fromkeys(labels.choice(run, "selector") for run in real):
             chosen = [run for run in real if labels.choice(run, "selector") == selector]
             axes = _axes(chosen)
             if axes:
-                stem = file if selector == "rbtm" else f"{file}-{selector}"
-                stem = _unique(re.sub(r"[^\w.=+-]+", "_", stem), [study.stem for study in out])
+                stem = file if selector == "rbtm" else file_name(f"{file}-{selector}")
+                stem = unique(stem, [study.stem for study in out])
                 panels = _panels(chosen, real, axes, found[0], controls)
                 out.append(Study(stem, name, selector, axes, found[1], found[2], panels))
     return [study for study in out if study.medians]
-
-
-def _unique(stem: str, taken: Sequence[str]) -> str:
-    name, count = stem, 2
-    while name in taken:
-        name, count = f"{stem}-{count}", count + 1
-    return name
 
 
 def _axes(runs: Sequence[Run]) -> tuple[str, ...]:

@@ -126,7 +126,7 @@ def _letter(letter: str) -> float:
 
 
 def fit_height(figure: Figure, columns: Sequence[Axes], tallest: float) -> None:
-    """Give the figure the height that its panels of equal aspect need, no more.
+    """Give the figure the height that its panels of fixed aspect need, no more.
 
     ``columns`` are the axes above each other, which fill the width; ``tallest`` (inches) bounds
     each of them. Call it last: titles and legends need their room too.
@@ -137,7 +137,10 @@ def fit_height(figure: Figure, columns: Sequence[Axes], tallest: float) -> None:
         for ax in columns:
             (x0, x1), (y0, y1) = ax.get_xlim(), ax.get_ylim()
             place = ax.get_position(original=True)
-            wanted = min(place.width * width * abs(y1 - y0) / abs(x1 - x0), tallest)
+            aspect = ax.get_aspect()
+            stretch = aspect if isinstance(aspect, float) else 1.0
+            wanted = place.width * width * stretch * abs(y1 - y0) / abs(x1 - x0)
+            wanted = min(wanted, tallest)
             height += wanted - place.height * figure.get_figheight()
         figure.set_size_inches(width, max(height, 1.5))
 

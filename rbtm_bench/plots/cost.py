@@ -1,0 +1,200 @@
+"""Accuracy against time: the error of every method over its time a scan, and the Pareto front."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+
+from rbtm_bench.plots import labels, panels, style
+from rbtm_bench.plots.groups import FEW, Data
+from rbtm_bench.plots.heatmaps import short
+from rbtm_bench.plots.looks import GUESS, Look, looks
+from rbtm_bench.plots.placing import Label, place
+
+TIME = "ms_per_scan"
+LINKED = 5
+"""Backends up to which lines join the points of each, so that one label is enough."""
+LABELLED = 30
+"""Points up to which else all show their backend; of more, those on the front and the best of
+every backend."""
+SMALL = 8
+"""Points up to which one column is wide enough."""
+FAR = 1e6
+"""Factor to a place beyond the axes."""
+FRONT: dict[str, Any] = {"color": "0.45", "lw": 1.4, "ls": "-"}
+LINK: dict[str, Any] = {"color": "0.65", "lw": 0.6, "ls": "-"}
+"""Between the methods of a backend."""
+PARTIAL = 0.35
+"""Opacity of a method of which a run failed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Medians over a method's runs: ``time`` ms a scan, ``error`` in the data set's unit.
+    ``whole`` is False if a run failed, or has no error."""
+
+    backend: str
+    method: str
+    time: float
+    error: float
+    whole: bool
+
+
+def draw(data: Data) -> Iterator[Figure]:
+    """The figure; nothing for fewer than two methods with an error and a time above zero."""
+    found = labels.main_error([run for run in data.runs if run.done])
+    if found is None:
+        return
+    key, unit, name = found
+    points = read(data, key)
+    if len(points) < 2:
+        return
+    guess = labels.value(data.guess, key) if data.guess is not None else None
+    if unit == "mm" and max(point.error for point in points) >= labels.LARGE:
+        points = [replace(point, error=1e-3 * point.error) for point in points]
+        unit, guess = "m", None if guess is None else 1e-3 * guess
+    width = style.SINGLE if len(points) <= SMALL else style.DOUBLE
+    height = 3.4 if width == style.SINGLE else 4.2 if len(points) <= LABELLED else 5.2
+    figure = Figure(figsize=(width, height))
+    ax = figure.add_subplot()
+    ax.set(xlabel="time a scan (ms)", ylabel=f"{name} ({unit})", xscale="log", yscale="log")
+    own = _by_selector(data)
+    for point in points:
+        look = own[point.method].mark | ({} if point.whole else {"alpha": PARTIAL})
+        ax.plot(point.time, point.error, **look, ls="", zorder=4)
+    best = front(points)
+    corners = _draw_front(ax, best)
+    top = _limits(ax, points)
+    if guess is not None and guess <= top:
+        ax.axhline(guess, **GUESS, zorder=1)
+    names, note = _names(ax, data, points, best)
+    figure.suptitle(style.wrapped(_title(data, note), width))
+    handles = _handles(data, own, points)
+    if guess is not None:
+        far = "" if guess <= top else f": {labels.quantity(guess, unit)}, not drawn"
+        handles.append(panels.handle(f"the guess alone{far}", **GUESS))
+    style.legend_below(figure, handles, panels.abreast(handles, width))
+    place(figure, ax, names, [(p.time, p.error) for p in points], corners)
+    yield figure
+
+
+def _title(data: Data, note: str) -> str:
+    seeds = max(len(method.runs) for panel in data.panels for method in panel.methods)
+    medians = f"medians of {seeds} seeds" if seeds > 1 else ""
+    return ", ".join(filter(None, [f"{data.name}: accuracy against time", medians, note]))
+
+
+def _names(
+    ax: Axes, data: Data, points: Sequence[Point], best: Sequence[Point]
+) -> tuple[list[Label], str]:
+    """What to write beside which points, and a note on it for the title."""
+    if len(data.panels) <= LINKED and max(len(p.methods) for p in data.panels) <= FEW:
+        return [Label(backend, places) for backend, places in _link(ax, points).items()], ""
+    settings = len(set(data.methods.values())) < len(data.methods)
+    note = "settings named on the front" if settings else ""
+    named = list(points)
+    if len(points) > LABELLED:
+        firsts = {point.backend: point for point in sorted(points, key=lambda p: -p.error)}
+        named = [p for p in points if p in best or p is firsts[p.backend]]
+        note = "named: the front and the best of every backend"
+    words = {
+        point: f"{point.backend}, {point.method}" if settings and point in best else point.backend
+        for point in named
+    }
+    note = f"{len(points)} methods, {note}" if note else ""
+    return [Label(text, ((p.time, p.error),)) for p, text in words.items()], note
+
+
+def _link(ax: Axes, points: Sequence[Point]) -> dict[str, tuple[tuple[float, float], ...]]:
+    """Join the points of a backend by a thin line; returns their places by backend."""
+    places: dict[str, tuple[tuple[float, float], ...]] = {}
+    for point in sorted(points, key=lambda p: p.error):
+        places[point.backend] = (*places.get(point.backend, ()), (point.time, point.error))
+    for found in places.values():
+        ax.plot(*zip(*found, strict=True), **LINK, zorder=1)
+    return places
+
+
+def read(data: Data, key: str) -> list[Point]:
+    """A point for every method that has both an error and a time above zero."""
+    out = []
+    for panel in data.panels:
+        for method in panel.methods:
+            both = [(labels.value(run, TIME), labels.value(run, key)) for run in method.runs]
+            known = [(t, e) for t, e in both if t is not None and e is not None]
+            if known:
+                time, error = np.median(known, axis=0)
+                whole = len(known) == len(both) and not method.failed
+                out.append(Point(panel.name, method.name, float(time), float(error), whole))
+    return [point for point in out if point.time > 0 and point.error > 0]
+
+
+def front(points: Sequence[Point]) -> list[Point]:
+    """The methods that none beats in both, by time; those of which a run failed do not count."""
+    best: list[Point] = []
+    for point in sorted(points, key=lambda p: (p.time, p.error)):
+        if point.whole and (not best or point.error < best[-1].error):
+            best.append(point)
+    return best
+
+
+def _draw_front(ax: Axes, best: Sequence[Point]) -> list[tuple[float, float]]:
+    """A step line: until the time of its next point nothing better is to be had. Returns its
+    corners."""
+    if not best:
+        return []
+    corners = [(best[0].time, FAR * best[0].error)]
+    for point, after in zip(best, [*best[1:], None], strict=True):
+        corners.append((point.time, point.error))
+        corners.append((after.time if after else FAR * point.time, point.error))
+    ax.plot(*zip(*corners, strict=True), **FRONT, zorder=2, label="Pareto front")
+    return corners
+
+
+def _limits(ax: Axes, points: Sequence[Point]) -> float:
+    """Give the axes room around the points and few, round numbers; returns the largest error
+    that is still inside."""
+    top = 0.0
+    for axis, values in (
+        (ax.xaxis, [point.time for point in points]),
+        (ax.yaxis, [point.error for point in points]),
+    ):
+        low, high = min(values), max(values)
+        pad = max((high / low) ** 0.12, 1.3)
+        low, top = low / pad, high * pad
+        (ax.set_xlim if axis is ax.xaxis else ax.set_ylim)(low, top)
+        subs = (1.0, 2.0, 5.0) if top < 300 * low else (1.0,)
+        axis.set_major_locator(LogLocator(subs=subs, numticks=12))
+        if top < 8 * low:  # too few powers of ten and their like
+            axis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: short(value)))
+        axis.set_minor_formatter(NullFormatter())
+    return top
+
+
+def _by_selector(data: Data) -> dict[str, Look]:
+    """A look for every method: that of the first one of its selector."""
+    first: dict[str, str] = {}
+    for name, selector in data.methods.items():
+        first.setdefault(selector, name)
+    own = looks({name: selector for selector, name in first.items()})
+    return {name: own[first[selector]] for name, selector in data.methods.items()}
+
+
+def _handles(data: Data, own: dict[str, Look], points: Sequence[Point]) -> list[Any]:
+    found = {selector: own[name].mark for name, selector in reversed(data.methods.items())}
+    out = [
+        panels.handle("whole system" if selector == "none" else selector, ls="", **mark)
+        for selector, mark in reversed(found.items())
+    ]
+    out.append(panels.handle("Pareto front", **FRONT))
+    if not all(point.whole for point in points):
+        look = {"marker": "o", "mfc": "w", "mec": style.BLACK, "alpha": PARTIAL, "ms": 4.5}
+        out.append(panels.handle("pale: some runs failed", ls="", **look))
+    return out
