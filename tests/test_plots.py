@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib
 import matplotlib.image
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from matplotlib.figure import Figure
 
@@ -371,3 +372,12 @@ def test_titles_break_into_lines_that_fit():
         text = style.wrapped(f"one two\n{'word ' * 30}{'a-long-name-' * 12}$x$", 3.4)
         assert all(style.inches(line) <= 3.4 for line in text.splitlines())
     assert text.startswith("one two\n") and r"\$x\$" in text.replace("\n", "")
+
+
+def test_steps_of_an_older_version_are_drawn_without_localizability(tmp_path: Path) -> None:
+    run = make_run(tmp_path / "old")
+    path = run.path / "steps.parquet"
+    pq.write_table(pq.read_table(path).drop_columns(["localizability_min"]), path)
+    found = folder.read_steps(run)
+    assert found is not None and np.isnan(found.held).all() and len(found.scan) > 1
+    assert steps.gaps(run) is not None

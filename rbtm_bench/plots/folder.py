@@ -17,6 +17,8 @@ from rbtm_bench.results import Run
 from rbtm_bench.trajectory import Trajectory
 from rbtm_bench.types import Array
 
+NEWER = "localizability_min"
+"""A column that runs of version 0.1.0 do not have."""
 DRAWN = 200_000
 """Points of a map that are drawn at most."""
 
@@ -113,9 +115,11 @@ def read_steps(run: Run) -> Steps | None:
     if not path.is_file():
         return None
     try:
-        names = ("scan", "gap", "score", "localizability_min")
-        table = pq.read_table(path, columns=[*names, "status"])
-        scan, gap, score, held = (table[name].to_numpy().astype(np.float64) for name in names)
+        names = ["scan", "gap", "score", "status"]
+        known = NEWER in pq.read_schema(path).names
+        table = pq.read_table(path, columns=[*names, NEWER] if known else names)
+        scan, gap, score = (table[name].to_numpy().astype(np.float64) for name in names[:3])
+        held = table[NEWER].to_numpy().astype(np.float64) if known else np.full(len(scan), np.nan)
         status = np.array([str(word) for word in table["status"].to_pylist()])
     except (pa.ArrowException, OSError, KeyError, ValueError) as error:
         raise DataError(f"{path}: not a readable table of steps: {_line(error)}") from error
