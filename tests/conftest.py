@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,10 @@ from rbtm_bench.pinning import pin_to_free_core
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Pin before any backend is imported: tests that compare bits need it."""
+    """Pin before any backend is imported: tests that compare bits need it. Where Ctrl-C is ignored
+    (a background job of a shell), children would ignore it, too, and tests of it fail."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if not hands_out_work(config):
         pin_to_free_core()
 

@@ -28,7 +28,7 @@ from pairstore_helpers import (
 )
 
 from rbtm_bench import pairfiles
-from rbtm_bench.paircodec import pack
+from rbtm_bench.paircodec import FORMAT, pack
 from rbtm_bench.pairstore import PairStore
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")  # a note that nobody expects
@@ -44,7 +44,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
     "empty": lambda path: path.write_bytes(b""),
     "another program's": copy_of_another,
     "another application": lambda path: sql(path, "PRAGMA application_id=7"),
-    "another version": lambda path: sql(path, "PRAGMA user_version=2"),
+    "another version": lambda path: sql(path, f"PRAGMA user_version={FORMAT + 1}"),
     "half of it": lambda path: os.truncate(path, path.stat().st_size // 2),
     "first page": lambda path: os.truncate(path, 4096),
     "header only": lambda path: os.truncate(path, 100),

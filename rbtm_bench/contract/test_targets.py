@@ -74,7 +74,7 @@ def test_the_target_lies_in_the_model_scan_s_frame(
         "are they in the model scan's frame?"
     )
     own = window.node(model).prepared.points
-    distance, _ = built.tree.query(own[:, :2])
+    distance, _ = built.tree.query(own)
     assert distance.max() <= 0.01, "the model scan itself is not in the target"
 
 
