@@ -1,0 +1,393 @@
+"""The figures of the RBTM paper, made from our runs: what ``scripts/reproduce_paper.py`` draws.
+
+Maps, matrices and steps of any run are drawn by ``maps``, ``matrix`` and ``steps``; here is what
+the paper shows and they do not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import FancyArrowPatch, Patch, Polygon, Rectangle
+from matplotlib.path import Path as MplPath
+from matplotlib.ticker import MaxNLocator
+
+from rbtm_bench.datasets.environments import Segment
+from rbtm_bench.plots import heatmaps, labels, maps, style
+from rbtm_bench.plots.folder import Scene, Steps
+from rbtm_bench.types import Array
+
+CM = 100.0
+WALL = "0.75"
+ROBOT = 8.0
+"""Radius of the circle that stands for the robot, cm."""
+FIRST: dict[str, Any] = {"color": style.NAVY, "lw": 1.3}
+SECOND: dict[str, Any] = {"color": style.VERMILION, "lw": 0.7}
+DOT = 1.2
+"""Of a map's points, points."""
+CHOICES: dict[str, dict[str, Any]] = {
+    "chosen": {"color": style.BLACK, "lw": 1.6, "ls": "-"},
+    "below": {"color": style.VERMILION, "lw": 1.1, "ls": "--"},
+    "not asked": {"color": "0.5", "lw": 0.9, "ls": ":"},
+}
+"""What became of a candidate: lines that differ in grey as well."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A scan from above, m in the world: the sensor's pose (4, 4), the returns ``points`` (N, 2),
+    and the ends of all beams ``ends`` (B, 2), those without a return at the greatest range."""
+
+    name: str
+    pose: Array
+    points: Array
+    ends: Array
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Descriptors (B,) in rad of two scans, NaN where there is none, and their similarity."""
+
+    title: str
+    phi: tuple[Array, Array]
+    score: float
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A candidate of a new scan: its similarity, and what became of it ("chosen", "below" or
+    "not asked")."""
+
+    model: int
+    score: float
+    outcome: str
+
+
+@dataclass(frozen=True)
+class Ratio:
+    """A cell of the ratio's grid."""
+
+    scans: int
+    noise_mm: float
+    distance_m: float
+    ratio: float
+
+
+def outline(walls: Sequence[Segment]) -> Array:
+    """The corners (W, 2) of the room that the wall segments enclose, one after the other.
+
+    Raises ``ValueError`` if the first segment is not part of a closed line of all of them.
+    """
+    rest = [tuple(segment) for segment in walls[1:]]
+    corners = list(walls[0])
+    while rest:
+        found = next((segment for segment in rest if corners[-1] in segment), None)
+        if found is None:
+            raise ValueError(f"the walls end at {corners[-1]}")
+        rest.remove(found)
+        corners.append(found[1] if found[0] == corners[-1] else found[0])
+    if corners[0] != corners[-1]:
+        raise ValueError(f"the walls do not close: {corners[0]} and {corners[-1]}")
+    return np.array(corners[:-1])
+
+
+def descriptors(room: Array, views: tuple[View, View], pairs: Sequence[Pair]) -> Figure:
+    """The paper's Fig. 1(b): a simple environment with two scans, beside it their descriptors
+    over the beam, a strip each, for every pair."""
+    figure = Figure(figsize=(style.DOUBLE, 3.6))
+    grid = figure.add_gridspec(2 * len(pairs), 2, width_ratios=(1.0, 1.0))
+    for half, view, look in zip((0, 1), views, (FIRST, SECOND), strict=True):
+        ax = figure.add_subplot(grid[half * len(pairs) : (half + 1) * len(pairs), 0])
+        _one_scan(ax, room, view, look)
+        ax.label_outer()
+    strips: list[Axes] = []
+    for row, pair in enumerate(pairs):
+        for number, (phi, look) in enumerate(zip(pair.phi, (FIRST, SECOND), strict=True)):
+            strip = figure.add_subplot(
+                grid[2 * row + number, 1], sharex=strips[0] if strips else None
+            )
+            strip.plot(np.arange(2, len(phi) + 2), np.degrees(phi), **look)
+            strip.set(ylim=(-100, 100), yticks=(-90, 0, 90))
+            strip.set_ylabel("$\\phi$ (deg)")
+            strip.text(
+                0.5, 0.5, f"scan {'jk'[number]}", ha="center", va="center",
+                transform=strip.transAxes, bbox={"fc": "w", "ec": "none", "pad": 1.5},
+            )  # fmt: skip
+            if number == 0:
+                strip.set_title(f"{pair.title}: similarity S = {pair.score:.2f}")
+            strips.append(strip)
+    for strip in strips[:-1]:
+        strip.tick_params(labelbottom=False)
+    strips[-1].set_xlabel("beam index i")
+    strips[-1].set_xlim(0, len(pairs[0].phi[0]) + 3)
+    return figure
+
+
+def _one_scan(ax: Axes, room: Array, view: View, look: dict[str, Any]) -> None:
+    _room(ax, room, edge="0.5")
+    ax.plot(*(CM * view.points.T), ls="", marker=".", ms=3.5, mew=0, color=look["color"])
+    _robot(ax, view.pose, look["color"])
+    ax.set_title(view.name)
+
+
+def _room(ax: Axes, room: Array, edge: str = style.BLACK) -> None:
+    """Free space white, walls grey, as in the paper; in cm, as there."""
+    low, high = CM * room.min(axis=0) - 15, CM * room.max(axis=0) + 15
+    ax.set_facecolor(WALL)
+    ax.add_patch(Polygon(CM * room, fc="w", ec=edge, lw=0.6, zorder=0))
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x (cm)", ylabel="y (cm)")
+    ax.set_aspect("equal", adjustable="box")
+
+
+def _robot(ax: Axes, pose: Array, colour: str) -> None:
+    """A circle with a line in the direction of the heading."""
+    turn = np.linspace(0.0, 2.0 * np.pi, 41)
+    x, y = CM * pose[:2, 3]
+    tip = ROBOT * pose[:2, 0]
+    circle = np.column_stack([x + ROBOT * np.cos(turn), y + ROBOT * np.sin(turn)])
+    ax.add_patch(Polygon(circle, fc="w", ec=colour, lw=1.0, zorder=6))
+    ax.plot((x, x + tip[0]), (y, y + tip[1]), color=colour, lw=1.0, zorder=7)
+
+
+def matrices(found: Sequence[tuple[str, tuple[Array, Array]]]) -> Figure:
+    """The paper's Fig. 1(c): similarity matrices beside each other on one scale.
+
+    ``found`` are titles with scan numbers (K,), from 0, and scores (K, K).
+    """
+    figure = Figure(figsize=(style.DOUBLE, 2.9))
+    axes = figure.subplots(1, len(found), sharex=True, sharey=True, squeeze=False)[0]
+    lowest = min(float(np.nanmin(scores)) for _, (_, scores) in found)
+    bottom = min(0.0, math.floor(10 * lowest) / 10)
+    for ax, (title, (scans, scores)) in zip(axes, found, strict=True):
+        edge = (float(scans[0]) + 0.5, float(scans[-1]) + 1.5)
+        image = ax.imshow(
+            scores, extent=(*edge, *edge[::-1]), vmin=bottom, vmax=1.0, cmap="viridis",
+            interpolation="nearest",
+        )  # fmt: skip
+        others = scores[~np.eye(len(scores), dtype=bool)]
+        ax.set_title(f"{title}\nhighest of two scans: {np.nanmax(others):.2f}")
+        ax.set_xlabel("scan k")
+        ax.xaxis.set_major_locator(MaxNLocator(4, integer=True))
+        ax.yaxis.set_major_locator(MaxNLocator(4, integer=True))
+    axes[0].set_ylabel("scan j")
+    beside = axes[-1].inset_axes((1.05, 0.0, 0.06, 1.0))  # as high as a matrix
+    figure.colorbar(image, cax=beside, label="similarity S")
+    style.fit_height(figure, [axes[0]], tallest=style.SINGLE)
+    return figure
+
+
+def model_choice(
+    example: Sequence[tuple[int, Sequence[Tried]]],
+    title: str,
+    steps: Steps,
+    steps_title: str,
+) -> Figure:
+    """The paper's Fig. 2: the choice of the model scan, step by step on a few scans, and below
+    it over a whole run.
+
+    ``example`` has for every new scan its candidates, oldest first. Scans count from 1.
+    """
+    figure = Figure(figsize=(style.DOUBLE, 5.2))
+    above, below = figure.subplots(2, 1, height_ratios=(1.6, 1.0))
+    for row, (scan, tried) in enumerate(example):
+        _step(above, -float(row), scan, tried)
+    last = max(scan for scan, _ in example)
+    above.set(xlim=(0.3, last + 0.3), ylim=(0.4 - len(example), 0.75), yticks=[], xticks=[])
+    above.spines[:].set_visible(False)
+    above.set_title(style.wrapped(f"(a) {title}", style.DOUBLE))
+    words = ("S > Th: the model scan", "S < Th: not matched", "not asked any more")
+    handles = [
+        Line2D([], [], **look, label=word)
+        for look, word in zip(CHOICES.values(), words, strict=True)
+    ]
+    above.legend(handles=handles, loc="upper right")
+    _models(below, steps)
+    below.set_title(style.wrapped(f"(b) {steps_title}", style.DOUBLE))
+    return figure
+
+
+def _step(ax: Axes, y: float, scan: int, tried: Sequence[Tried]) -> None:
+    """A row: the scans so far as circles, an arc from the new one to each candidate, and below
+    the candidate its similarity."""
+    candidates = {one.model: one for one in tried}
+    for number in range(1, scan + 1):
+        inside = number in candidates or number == scan
+        ax.plot(
+            number, y, marker="o", ms=13, mec=style.BLACK if inside else "0.7", zorder=3,
+            mew=1.6 if number == scan else 0.8, mfc="0.85" if number == scan else "w",
+        )  # fmt: skip
+        colour = style.BLACK if inside else "0.6"
+        ax.text(number, y, str(number), ha="center", va="center_baseline", color=colour, zorder=4)
+    for one in tried:
+        look = CHOICES[one.outcome]
+        height = 0.16 + 0.26 * (scan - one.model)
+        arc = MplPath(
+            [(scan, y + 0.16), (scan, y + height), (one.model, y + height), (one.model, y + 0.18)],
+            [MplPath.MOVETO, MplPath.CURVE4, MplPath.CURVE4, MplPath.CURVE4],
+        )
+        ax.add_patch(
+            FancyArrowPatch(path=arc, arrowstyle="-|>", mutation_scale=8, zorder=2, **look)
+        )
+        if one.outcome != "not asked":
+            ax.text(
+                one.model, y - 0.22, f"S = {one.score:.2f}", ha="center", va="top",
+                color=look["color"], weight="bold" if one.outcome == "chosen" else "normal",
+            )  # fmt: skip
+    ax.text(0.75, y, f"step {scan}", ha="right", va="center_baseline")
+
+
+def _models(ax: Axes, steps: Steps) -> None:
+    """The model scan over the scan, and what the standard way takes; fallbacks apart."""
+    scan, model = steps.scan + 1, steps.scan - steps.gap + 1
+    ax.plot(scan, scan - 1, color="0.5", lw=0.9, ls="--", label="standard: the previous scan")
+    looks: tuple[tuple[str, str, dict[str, Any]], ...] = (
+        ("registered", "RBTM: S > Th", {"marker": ".", "color": style.BLACK, "ms": 3.5}),
+        ("fallback", "RBTM: fallback", {"marker": "^", "color": style.VERMILION, "ms": 4.0}),
+    )
+    for status, word, look in looks:
+        here = np.isfinite(model) & (steps.status == status)
+        if here.any():
+            label = f"{word} ({int(here.sum())} scans)"
+            ax.plot(scan[here], model[here], ls="", label=label, **look)
+    ax.set(xlabel="scan j", ylabel="model scan m", xlim=(0, len(scan) + 1), ylim=(0, None))
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_locator(MaxNLocator(6, integer=True))
+    ax.legend(loc="upper left")
+
+
+def environment(room: Array, view: View, end: Array, path: Array, title: str) -> Figure:
+    """The paper's Fig. 3: the place from above in cm, the drive, and what the sensor sees from
+    its start. ``view.points`` are in the order of sensing, ``path`` (N, 2) m."""
+    figure = Figure(figsize=(style.DOUBLE, 3.4))
+    ax = figure.add_subplot()
+    _room(ax, room)
+    seen = CM * np.vstack([view.pose[:2, 3], view.ends])
+    ax.add_patch(Polygon(seen, fc=style.SKY, alpha=0.3, ec="none", zorder=1))
+    ax.plot(*(CM * view.points.T), ls="", marker=".", ms=1.8, color=style.BLUE, zorder=3)
+    ax.plot(*(CM * path.T), color=style.BLACK, lw=1.0, ls="--", zorder=4)
+    for pose in (view.pose, end):
+        _robot(ax, pose, style.BLACK)
+    _sizes(ax, CM * room, CM * path)
+    handles = [
+        Patch(fc=WALL, ec=style.BLACK, lw=0.8, label="walls"),
+        Patch(fc=style.SKY, alpha=0.3, label="seen from the start"),
+        Line2D([], [], ls="", marker=".", color=style.BLUE, label="points of that scan"),
+        Line2D([], [], color=style.BLACK, lw=1.0, ls="--", label="path, start left"),
+    ]
+    ax.set_title(style.wrapped(title, style.DOUBLE))
+    style.legend_below(figure, handles, columns=4)
+    style.fit_height(figure, [ax], tallest=5.0)
+    return figure
+
+
+def _sizes(ax: Axes, room: Array, path: Array) -> None:
+    """Dimensions as arrows: the pieces of both walls, the recesses' depths, the width, the path."""
+    arrow = {"arrowstyle": "<->", "lw": 0.6, "shrinkA": 0, "shrinkB": 0}
+    words: dict[str, Any] = {"fontsize": style.FONT - 2, "ha": "center", "zorder": 5}
+    heights = np.unique(room[:, 1])
+    wall = {True: float(heights[heights > 0].min()), False: float(heights[heights < 0].max())}
+    for top, y in wall.items():
+        side = room[(room[:, 1] > 0) == top]
+        for x0, x1 in pairwise(np.unique(side[:, 0])):
+            level = 0.6 * y
+            ax.annotate("", (x0, level), (x1, level), arrowprops=arrow, zorder=5)
+            ax.text(0.5 * (x0 + x1), level, f"{x1 - x0:.0f}", va="bottom", **words)
+            inside = side[(side[:, 0] == x0) & (np.abs(side[:, 1]) > abs(y))]
+            back = side[(side[:, 0] == x1) & (np.abs(side[:, 1]) > abs(y))]
+            if len(inside) and len(back) and x1 - x0 < 80:
+                depth = abs(float(inside[0, 1])) - abs(y)
+                place = 0.5 * (y + float(inside[0, 1]))
+                ax.text(0.5 * (x0 + x1), place, f"{depth:.0f} deep", va="center", **words)
+    left = float(room[:, 0].min()) + 18
+    ax.annotate("", (left, wall[False]), (left, wall[True]), arrowprops=arrow, zorder=5)
+    ax.text(left + 10, 20, f"{wall[True] - wall[False]:.0f}", va="center", **words)
+    (x0, y0), (x1, _) = path[0], path[-1]
+    ax.annotate("", (x0, y0 - 18), (x1, y0 - 18), arrowprops=arrow, zorder=5)
+    ax.text(0.5 * (x0 + x1), y0 - 21, f"{x1 - x0:.0f}", va="top", **words)
+
+
+def map_figure(scene: Scene, limits: maps.Limits, title: str) -> Figure:
+    """The paper's Fig. 4(a) or (b): a map with estimated and true trajectory. ``limits`` are for
+    both, so that they can be laid beside each other."""
+    figure = Figure(figsize=(style.DOUBLE, style.DOUBLE))
+    ax = figure.add_subplot()
+    handles = maps.panel(ax, scene, limits, DOT)
+    ax.set_title(style.wrapped(title, style.DOUBLE))
+    style.legend_below(figure, handles, columns=4)
+    style.fit_height(figure, [ax], tallest=4.0)
+    return figure
+
+
+def ratios(rows: Sequence[tuple[str, Sequence[Ratio]]], title: str, theirs: float) -> Figure:
+    """Ratios over the number of scans (x) and the correspondence distance (y), a panel a noise,
+    a row of panels a comparison; ``theirs`` is marked on the scale."""
+    cells = [cell for _, found in rows for cell in found]
+    noises = sorted({cell.noise_mm for cell in cells})
+    finite = [cell.ratio for cell in cells if math.isfinite(cell.ratio)]
+    norm = LogNorm(min(1.0, *finite), max(theirs * 1.2, *finite))
+    figure = Figure(figsize=(style.DOUBLE, 0.9 + 1.75 * len(rows)))
+    axes = figure.subplots(len(rows), len(noises), sharex=True, sharey=True, squeeze=False)
+    for line, (name, found) in zip(axes, rows, strict=True):
+        for ax, noise in zip(line, noises, strict=True):
+            image = _ratio_panel(ax, [cell for cell in found if cell.noise_mm == noise], norm)
+        line[0].set_ylabel(f"{name}\ncorrespondence\ndistance (m)")
+    for ax, noise in zip(axes[0], noises, strict=True):
+        ax.set_title("no noise" if noise == 0 else f"range noise {noise:g} mm")
+    for ax in axes[-1]:
+        ax.set_xlabel("number of scans")
+    bar = figure.colorbar(image, ax=list(axes.ravel()), fraction=0.03, pad=0.02, aspect=30)
+    bar.set_label("standard ICP's error over this one's")
+    ends = float(norm.vmin or 0), float(norm.vmax or 0)
+    ticks = [t for t in (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500) if ends[0] <= t <= ends[1]]
+    bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
+    bar.minorticks_off()
+    bar.ax.axhline(theirs, color="w", lw=2.6)
+    bar.ax.axhline(theirs, color=style.BLACK, lw=1.2)
+    handles: list[Any] = [
+        Line2D([], [], color=style.BLACK, lw=1.2, label=f"on the scale: the paper's {theirs:.0f}"),
+        Line2D([], [], ls="", label="(in brackets): larger error than the standard ICP's"),
+    ]
+    figure.suptitle(style.wrapped(title, style.DOUBLE))
+    style.legend_below(figure, handles, columns=2)
+    return figure
+
+
+def _ratio_panel(ax: Axes, cells: Sequence[Ratio], norm: LogNorm) -> Any:
+    x = sorted({cell.scans for cell in cells})
+    y = sorted({cell.distance_m for cell in cells})
+    values = np.full((len(y), len(x)), np.nan)
+    for cell in cells:
+        values[y.index(cell.distance_m), x.index(cell.scans)] = cell.ratio
+    ax.add_patch(Rectangle((-0.5, -0.5), len(x), len(y), **heatmaps.FAILED, zorder=0))
+    image = ax.imshow(
+        np.ma.masked_invalid(values), norm=norm, cmap=heatmaps.COLOURS, aspect="auto",
+        origin="lower", interpolation="nearest", zorder=1,
+    )  # fmt: skip
+    dark = image.to_rgba(np.nan_to_num(values, nan=1.0))[..., :3] @ [0.299, 0.587, 0.114] < 0.5
+    for row, column in zip(*np.nonzero(np.isfinite(values)), strict=True):
+        value = float(values[row, column])
+        ax.text(
+            column, row, f"({value:.2g})" if value < 0.995 else f"{float(f'{value:.2g}'):g}",
+            ha="center", va="center", fontsize=6.5, color="w" if dark[row, column] else "k",
+            zorder=2,
+        )  # fmt: skip
+    ax.set_xticks(range(len(x)), [str(value) for value in x])
+    ax.set_yticks(range(len(y)), [f"{value:g}" for value in y])
+    ax.tick_params(length=2)
+    return image
+
+
+def error_words(mm: float, along: float, cross: float, heading: float) -> str:
+    """ "final error 535 mm: along -535 mm, cross -7 mm, heading 0.7 deg"."""
+    parts = [labels.quantity(value, "mm") for value in (mm, along, cross)]
+    turn = labels.quantity(heading, "deg")
+    return f"final error {parts[0]}: along {parts[1]}, cross {parts[2]}, heading {turn}"
