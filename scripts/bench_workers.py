@@ -23,7 +23,7 @@ from rbtm_bench.metrics.cost import COLUMNS
 
 SWEEP = [
     "backend=open3d_gicp",
-    "dataset.scans=361",
+    "dataset.scans=1441",
     "guess=odometry",
     "pairs.store=off",
     "selector.window=30",
