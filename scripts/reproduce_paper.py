@@ -12,8 +12,6 @@ PDF. A run that was cut goes on where it was; --fresh starts anew.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import json
 import resource
 import shlex
 import shutil
@@ -22,49 +20,26 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import paper_tables as numbers
 from paper_figures import draw
 from paper_plan import PAPER_BACKEND, Runs, Size, Table, add_open, add_ratio, make_size
 from paper_words import final_words, readme, table_page
 
-from rbtm_bench import comparison, experiment, provenance, sweeps
+from rbtm_bench import comparison
+from rbtm_bench.campaign import Campaign, begin
 from rbtm_bench.cli import guarded
-from rbtm_bench.files import make_folder, write_json, write_text
-from rbtm_bench.progress import bar
-from rbtm_bench.worker import Supervisor
+from rbtm_bench.files import write_text
+from rbtm_bench.grid import Point
 
 OUT = Path("results/paper")
 PICTURES = {"pictures": True, "map_resolution": 0.02}
 """Settings of the runs that figures show; 2 cm between the points of a map."""
 
 
-class Maker:
-    """Makes runs side by side in the folder ``out``; those that are there already stay."""
-
-    def __init__(self, out: Path, crew: Sequence[Supervisor]) -> None:
-        self.out, self.crew = out, crew
-        self.made, self.failed = 0, dict[str, str]()
-
-    def make(self, title: str, runs: Runs) -> None:
-        """Make what is missing of the runs, those on the same data one after the other."""
-        points = sorted(runs.points.values(), key=lambda point: point.name.rpartition("-")[2])
-        rest = [
-            point
-            for point in points
-            if not sweeps.is_finished(self.out / point.name, comparison.placed(point, self.out))
-        ]
-        print(f"{title}: {len(points)} runs, {len(points) - len(rest)} of them there", flush=True)
-        with bar(title, len(rest)) as progress:
-
-            def done(name: str, record: dict[str, Any]) -> None:
-                self.made += 1
-                if record["status"] != "done":
-                    self.failed[name] = str(record["reason"])
-                progress.step()
-
-            comparison.run_points(rest, self.out, len(self.crew), done, crew=self.crew)
+def in_turn(runs: Runs) -> list[Point]:
+    """The runs on the same data one after the other."""
+    return sorted(runs.points.values(), key=lambda point: point.name.rpartition("-")[2])
 
 
 def reproduce(size: Size, out: Path, jobs: int, command: str) -> int:
@@ -72,7 +47,7 @@ def reproduce(size: Size, out: Path, jobs: int, command: str) -> int:
     started = time.perf_counter()
     folder = out / "runs"
     with comparison.make_crew(jobs) as crew:
-        maker = Maker(folder, crew)
+        maker = Campaign(folder, crew)
         table = Table(size)
 
         # Every row's setting is the best of its tries on seeds that nothing below shows.
@@ -81,7 +56,7 @@ def reproduce(size: Size, out: Path, jobs: int, command: str) -> int:
             for backend in size.backends:
                 for k in range(len(way.values)):
                     table.add(runs, way.key, k, backend, choosing=True)
-        maker.make("choosing settings", runs)
+        maker.make("choosing settings", in_turn(runs))
         choices = numbers.choices(folder, table.ways, size)
         chosen = numbers.chosen(choices)
 
@@ -89,21 +64,21 @@ def reproduce(size: Size, out: Path, jobs: int, command: str) -> int:
         runs = Runs()
         for (way, backend), k in chosen.items():
             table.add(runs, way, k, backend, choosing=False)
-        maker.make("Table I", runs)
+        maker.make("Table I", in_turn(runs))
         table1 = numbers.table1(folder, table.ways, size, chosen)
 
         # The ratio over what the paper leaves open, and every open setting by itself.
         runs = Runs()
         of_paper = {way: k for (way, backend), k in chosen.items() if backend == PAPER_BACKEND}
         cells, changes = add_ratio(runs, size, of_paper), add_open(runs, size, of_paper)
-        maker.make("ratio and open settings", runs)
+        maker.make("ratio and open settings", in_turn(runs))
         ratio = numbers.ratios(folder, cells)
         open_settings = numbers.open_settings(folder, changes)
 
         # Maps and matrices of a run that is neither the best nor the worst.
         runs = Runs()
         shown = add_figures(runs, table, of_paper, folder)
-        maker.make("figures", runs)
+        maker.make("figures", in_turn(runs))
 
     for name, found in (
         ("choices", choices), ("table1", table1), ("ratio", ratio), ("open_settings", open_settings)
@@ -149,25 +124,6 @@ def add_figures(
     return shown
 
 
-def begin(out: Path, fresh: bool) -> None:
-    """Make the folder. Runs of other versions, or with ``fresh`` all earlier ones, are removed:
-    no table mixes them."""
-    folder = out / "runs"
-    now = {"git": provenance.git_hash(), "versions": sweeps.versions()}
-    stamp = folder / "made_with.json"
-    make_folder(folder)
-    if fresh or not stamp.is_file() or stamp.read_text("utf-8") != _as_written(now):
-        for run in folder.glob("*/run.json"):
-            experiment.clear(run.parent)
-            with contextlib.suppress(OSError):
-                run.parent.rmdir()
-    write_json(stamp, now)
-
-
-def _as_written(value: Any) -> str:
-    return json.dumps(value, indent=1) + "\n"
-
-
 def cpu_seconds() -> float:
     """Of this process and of its children, s."""
     return sum(
@@ -200,7 +156,7 @@ def main(words: Sequence[str] | None = None) -> int:
     def call() -> int:
         backends = options.backends.split(",") if options.backends else None
         size = make_size(options.quick, options.seeds, options.scans, backends)
-        begin(options.out, options.fresh)
+        begin(options.out / "runs", options.fresh)
         command = shlex.join(["python", "scripts/reproduce_paper.py", *(words or sys.argv[1:])])
         return reproduce(size, options.out, options.jobs, command)
 

@@ -1,0 +1,64 @@
+"""Many grids of runs in one folder, for a study made of several: what is there already stays."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from rbtm_bench import comparison, experiment, provenance, sweeps
+from rbtm_bench.files import make_folder, write_json
+from rbtm_bench.grid import Point
+from rbtm_bench.progress import bar
+from rbtm_bench.worker import Supervisor
+
+STAMP = "made_with.json"
+
+
+class Campaign:
+    """Makes runs side by side in a folder. A cut one goes on where it was.
+
+    ``made`` counts the runs that were made now, ``failed`` holds the reasons of those that ended
+    by an error, by name.
+    """
+
+    def __init__(self, folder: Path, crew: Sequence[Supervisor]) -> None:
+        self.folder, self.crew = folder, crew
+        self.made, self.failed = 0, dict[str, str]()
+
+    def make(self, title: str, points: Iterable[Point]) -> None:
+        """Make what is missing of the points, in their order."""
+        asked = list(points)
+        rest = [
+            point
+            for point in asked
+            if not sweeps.is_finished(
+                self.folder / point.name, comparison.placed(point, self.folder)
+            )
+        ]
+        print(f"{title}: {len(asked)} runs, {len(asked) - len(rest)} of them there", flush=True)
+        with bar(title, len(rest)) as progress:
+
+            def done(name: str, record: dict[str, Any]) -> None:
+                self.made += 1
+                if record["status"] != "done":
+                    self.failed[name] = str(record["reason"])
+                progress.step()
+
+            comparison.run_points(rest, self.folder, len(self.crew), done, crew=self.crew)
+
+
+def begin(folder: Path, fresh: bool) -> None:
+    """Make the folder. Runs of other versions, or with ``fresh`` all earlier ones, are removed:
+    no table mixes them."""
+    now = {"git": provenance.git_hash(), "versions": sweeps.versions()}
+    stamp = folder / STAMP
+    make_folder(folder)
+    if fresh or not stamp.is_file() or stamp.read_text("utf-8") != json.dumps(now, indent=1) + "\n":
+        for run in folder.glob("*/run.json"):
+            experiment.clear(run.parent)
+            with contextlib.suppress(OSError):
+                run.parent.rmdir()
+    write_json(stamp, now)
