@@ -11,8 +11,11 @@ from figure_helpers import TURN, N, data_of, lines, make_run, scaled, texts
 from rbtm_bench.errors import DataError
 from rbtm_bench.geometry import se2
 from rbtm_bench.metrics.ape import Ape
-from rbtm_bench.plots import groups, growth, looks, style, trajectories
+from rbtm_bench.plots import groups, growth, looks, spans, style, trajectories
+from rbtm_bench.relation_errors import FILE, RelationErrors
+from rbtm_bench.results import Run
 from rbtm_bench.trajectory import Trajectory
+from rbtm_bench.types import Array
 
 # --- runs by data set, backend and method
 
@@ -206,3 +209,51 @@ def test_no_motion_is_drawn_over_time_and_no_truth_not_at_all(tmp_path: Path) ->
     Trajectory(np.arange(3.0), TURN[:3]).write_tum(short.path / "ground_truth.tum")
     with pytest.raises(DataError, match=r"ground_truth.tum: 3 poses, expected 21"):
         list(growth.draw(data_of(short)))
+
+
+# --- relation error over span
+
+
+def with_relations(path: Path, errors: Array, spans_s: Array, selector: str = "rbtm") -> Run:
+    run = make_run(path, selector, truth=None)
+    local = np.abs(spans_s) <= 30
+    RelationErrors(np.zeros(len(errors)), spans_s, local, errors, errors).write(path / FILE)
+    return run
+
+
+def test_relations_are_binned_by_span_local_and_long_apart(tmp_path: Path) -> None:
+    spans_s = np.concatenate([np.full(20, 1.0), np.full(20, -9.0), np.full(25, 3600.0)])
+    errors = np.concatenate([np.full(20, 0.01), np.full(20, 0.03), np.full(25, 2.0)])
+    errors[-1] = np.nan  # an end without a pose: not used
+    found = spans.curve(with_relations(tmp_path / "r", errors, spans_s))
+    assert found is not None
+    assert found.span.tolist() == [1.0, 9.0, 3600.0]
+    assert found.error.tolist() == [0.01, 0.03, 2.0]
+
+
+def test_relation_errors_are_drawn_with_the_guess(tmp_path: Path) -> None:
+    spans_s = np.linspace(1.0, 20.0, 40)
+    runs = [
+        with_relations(tmp_path / "a", np.full(40, 0.1), spans_s),
+        with_relations(tmp_path / "b", np.full(40, 0.2), spans_s, "previous"),
+    ]
+    (figure,) = spans.draw(data_of(*runs))
+    drawn = lines(figure)
+    assert [drawn[name].get_ydata().tolist() for name in ("rbtm", "previous")] == [
+        [0.1, 0.1],
+        [0.2, 0.2],
+    ]
+    assert "relation error (m)" in texts(figure) and "local up to 30 s" in texts(figure)
+
+
+def test_few_relations_or_none_are_not_drawn(tmp_path: Path) -> None:
+    few = with_relations(tmp_path / "a", np.full(19, 0.1), np.linspace(1, 2, 19))
+    assert spans.curve(few) is None
+    assert list(spans.draw(data_of(few, make_run(tmp_path / "b", "previous")))) == []
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"), [(0.5, "0.5 s"), (10, "10 s"), (90, "1.5 min"), (7200, "2 h")]
+)
+def test_spans_are_told_in_time_s_own_units(seconds: float, words: str) -> None:
+    assert spans._time(seconds, 0).replace("\N{NO-BREAK SPACE}", " ") == words

@@ -1,8 +1,8 @@
 """Figures of runs, from the files in their folders, each as PNG and PDF.
 
 ``draw`` decides which figures a set of runs deserves. One kind of figure each: ``maps``,
-``occupancy``, ``steps`` and ``matrix`` of a run; ``trajectories``, ``growth``, ``cost``,
-``methods`` and ``boxes`` of methods side by side; ``heatmaps`` and ``lines`` of a sweep.
+``occupancy``, ``steps`` and ``matrix`` of a run; ``trajectories``, ``growth``, ``spans``,
+``cost``, ``methods`` and ``boxes`` of methods side by side; ``heatmaps`` and ``lines`` of a sweep.
 ``folder`` reads, ``groups`` sorts runs by data set, backend and method, ``studies`` a sweep by
 its settings; ``panels`` lays out, ``placing`` places labels, ``labels`` words, ``looks`` and
 ``style`` say how it looks, ``style`` saves.
@@ -28,6 +28,7 @@ from rbtm_bench.plots import (
     matrix,
     methods,
     occupancy,
+    spans,
     steps,
     style,
     trajectories,
@@ -53,6 +54,8 @@ def draw(runs: Sequence[Run], out: Path) -> list[Path]:
     - ``<dataset>-trajectories``: the paths of all methods upon the truth, a panel a backend, from
       2 methods on.
     - ``<dataset>-error_over_path``: the APE of every scan over the true path, where it is known.
+    - ``<dataset>-error_over_span``: the error of reference relations over the time between their
+      scans, where the log has some.
     - ``<dataset>-accuracy_time``: the error of every method over its time a scan, with the Pareto
       front, from 2 methods on.
     - ``<dataset>-boxes``: the error over seeds, where a method has 4 or more, and not more methods
@@ -112,6 +115,7 @@ def _of_methods(runs: list[Run]) -> Iterator[Named]:
     for data in groups.data_sets(runs):
         yield from _numbered(f"{data.stem}-trajectories", trajectories.draw(data))
         yield from _numbered(f"{data.stem}-error_over_path", growth.draw(data))
+        yield from _numbered(f"{data.stem}-error_over_span", spans.draw(data))
         yield from _numbered(f"{data.stem}-accuracy_time", cost.draw(data))
     for stem, figure in boxes.draw(runs):
         yield f"{stem}-boxes", figure
