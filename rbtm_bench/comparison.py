@@ -42,7 +42,7 @@ def check_data(points: Sequence[Point]) -> None:
         if key not in opened:
             opened.clear()  # one data set in memory at a time
             opened[key] = experiment.build(config["dataset"])
-        groups = ("backend", "guess", "similarity", "selector")
+        groups = ("backend", "guess", "similarity", "selector", "check")
         fit = repr((key, [config.get(group) for group in groups]))
         if fit not in checked:
             checked.add(fit)

@@ -145,9 +145,29 @@ def check_fit(settings: Settings, dataset: Dataset) -> None:
     if is_system(config):
         return
     build(config["guess"]).check(dataset)
+    _check_selector(settings, dataset)
+
+
+def _check_selector(settings: Settings, dataset: Dataset) -> None:
+    """Raise ``ConfigError`` if the selector lacks scores, truth or a check that it needs."""
+    config, choices = settings.config, settings.choices
+    name = f"selector={choices.get('selector')}"
     selector = locate("selector", config["selector"]["_target_"])
     if getattr(selector, "needs_scores", False):
         build(config["similarity"]).check(dataset)
+    if getattr(selector, "needs_truth", False) and not dataset.has_ground_truth:
+        path = config["dataset"].get("path")
+        where = f"dataset={choices.get('dataset')}" + (f" ({path})" if path else "")
+        raise ConfigError(
+            f"{name} chooses by ground truth, and {where} has none: "
+            "expected a data set with the true pose of every scan"
+        )
+    check = locate("check", config["check"]["_target_"])
+    if getattr(selector, "needs_check", False) and getattr(check, "accepts_all", False):
+        raise ConfigError(
+            f"{name} needs a check, and check={choices.get('check')} accepts everything: "
+            "expected one that can reject, such as check=gated"
+        )
 
 
 def build(node: dict[str, Any]) -> Any:

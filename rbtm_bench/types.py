@@ -41,6 +41,9 @@ class Node:
     """A scan with its pose: what guesses and targets may know of it.
 
     ``prepared`` is the backend's business and ``descriptor`` the similarity's; None if unused.
+    ``hops`` counts the edges of the chain from the start to the scan, predicted ones included.
+    ``covariance`` (6, 6) is what they add up to (``uncertainty.chained``), of a small motion d =
+    (x, y, z, rx, ry, rz) in m and rad, T_world_scan exp(d); None unless the selector asks for it.
     """
 
     scan: int
@@ -49,6 +52,8 @@ class Node:
     odometry: Array | None = None
     prepared: Any = None
     descriptor: NDArray[Any] | None = None
+    hops: int = 0
+    covariance: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,13 +107,18 @@ class RegistrationResult:
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """A measured (or, for ``kind`` "predicted", assumed) motion between two scans."""
+    """A measured (or, for ``kind`` "predicted", assumed) motion between two scans.
+
+    ``information`` (6, 6) is the method's own, ``covariance`` (6, 6) ours, only where a selector
+    asks for it: both of a small motion of the scan in its own frame, T_model_scan exp(d).
+    """
 
     model: int
     scan: int
     T_model_scan: Array
     information: Array | None = None
     kind: str = "registered"
+    covariance: Array | None = None
 
 
 @dataclass
@@ -123,6 +133,8 @@ class StepRecord:
     also as ``localizability_min``), and ``weak_direction`` the eigenvector of the smallest: x, y,
     rz or x, y, z, rx, ry, rz in the scan's frame. ``information`` is the method's own, row by
     row; ``kept_guess`` counts the directions along which ``guess_along_degenerate`` kept the guess.
+    ``restart`` marks a scan that was registered to the one before although that had matched
+    nothing, because nothing had for too long.
     """
 
     scan: int
@@ -147,6 +159,7 @@ class StepRecord:
     weak_direction: list[float] | None = None
     information: list[float] | None = None
     kept_guess: int | None = None
+    restart: bool = False
     reused: bool | None = None
     t_prepare_s: float = 0.0
     t_describe_s: float = 0.0

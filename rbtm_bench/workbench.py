@@ -302,11 +302,13 @@ class SharedSimilarity(Similarity):
     """A similarity whose descriptors and scores of a whole data set are computed once.
 
     What it hands out as a scan's descriptor is the scan's number; scores of consecutive scans are
-    looked up in the band, all others computed from the descriptors.
+    looked up in the band, all others computed from the descriptors. Scores under a guess, which
+    may differ from run to run, are computed every time.
     """
 
     def __init__(self, similarity: Similarity, dataset: Dataset) -> None:
         self._similarity = similarity
+        self.needs_guess = similarity.needs_guess
         started = time.perf_counter()
         self._descriptors: Descriptor = np.stack([similarity.describe(scan) for scan in dataset])
         self._describe_seconds = (time.perf_counter() - started) / max(1, len(dataset))
@@ -315,7 +317,7 @@ class SharedSimilarity(Similarity):
 
     def widen(self, width: int) -> None:
         """Have the scores of every scan with the ``width`` scans before it."""
-        if width <= self._band.shape[1]:
+        if self.needs_guess or width <= self._band.shape[1]:
             return
         started = time.perf_counter()
         self._band = self._similarity.band(self._descriptors, width + 1)
@@ -333,9 +335,18 @@ class SharedSimilarity(Similarity):
             return self._band[scan, scan - last - 1 : scan - first][::-1]
         return self._similarity.scores(self._descriptors[window[:, 0]], self._descriptors[scan])
 
+    def scores_under(self, window: Descriptor, descriptor: Descriptor, motions: Array) -> Array:
+        if not self.needs_guess:
+            return self.scores(window, descriptor)
+        known = self._descriptors
+        return self._similarity.scores_under(known[window[:, 0]], known[descriptor[0]], motions)
+
     def pairwise(self, rows: Descriptor, columns: Descriptor) -> Array:
         known = self._descriptors
         return self._similarity.pairwise(known[rows[:, 0]], known[columns[:, 0]])
+
+    def matrix(self, descriptors: Descriptor) -> Array:
+        return self._similarity.matrix(self._descriptors[descriptors[:, 0]])
 
 
 class SharedGuess(Guess):

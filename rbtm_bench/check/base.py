@@ -11,6 +11,8 @@ class Check(ABC):
     """Looks at a registration before the loop believes it."""
 
     requires: tuple[str, ...] = ()
+    accepts_all: bool = False
+    """True for a check that never rejects: selectors that rely on a check refuse it."""
 
     @abstractmethod
     def reject(self, result: RegistrationResult, T_guess: Array) -> str | None:

@@ -9,5 +9,7 @@ from rbtm_bench.types import Array, RegistrationResult
 class AcceptAll(Check):
     """Accepts whatever the backend returns (a backend's error is still a rejection)."""
 
+    accepts_all = True
+
     def reject(self, result: RegistrationResult, T_guess: Array) -> str | None:
         return None

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from rbtm_bench.contract.members import Catalogue, Member
-from rbtm_bench.geometry import se2
-from rbtm_bench.selection.base import Selection, Selector
-from rbtm_bench.types import Array, Node
+from rbtm_bench.contract.scene import TinyClouds
+from rbtm_bench.errors import ConfigError, DataError
+from rbtm_bench.experiment import check_fit
+from rbtm_bench.geometry import inverse, se2
+from rbtm_bench.selection.base import Candidate, Selection, Selector, Trial
+from rbtm_bench.settings import compose_settings
+from rbtm_bench.types import Array, Node, RegistrationResult, Scan
 
 GROUP = "selector"
 SCANS = 30
@@ -41,6 +46,21 @@ def selector(catalogue: Catalogue, member: Member) -> Selector:
     return selector
 
 
+def scan_at(number: int, truth: bool = True) -> Scan:
+    """A scan 0.1 m on from the one before."""
+    points = np.array([[2.0, 0, 0], [0, 3.0, 0], [-1.0, -1.0, 0]])
+    pose = se2(0.1 * number, 0, 0)
+    return Scan(number, 0.1 * number, points, True, ground_truth=pose if truth else None)
+
+
+def node_at(selector: Selector, number: int) -> Node:
+    """The scan as a member of the window, a chain of hops of one a scan."""
+    descriptor = np.full(3, float(number)) if selector.needs_scores else None
+    covariance = None if selector.covariance_from is None else 1e-4 * number * np.eye(6)
+    pose = se2(0.1 * number, 0, 0)
+    return Node(number, 0.1 * number, pose, None, None, descriptor, number, covariance)
+
+
 def run(selector: Selector, scores: Scores, skip: frozenset[int] = frozenset()) -> list[Selection]:
     """Thirty scans 0.1 m apart through a window, as the loop does it, without a backend.
 
@@ -49,17 +69,19 @@ def run(selector: Selector, scores: Scores, skip: frozenset[int] = frozenset()) 
     window = selector.window()
     selections = []
     for scan in range(SCANS):
+        if selector.needs_truth:
+            selector.see(scan_at(scan))
         if len(window):
             given = scores(scan, len(window))
-            models, before = window.scans.copy(), given.copy()
-            selection = selector.select(scan, window.scans, given)
-            assert np.array_equal(window.scans, models), "select() modified the window's scans"
-            assert np.array_equal(given, before, equal_nan=True), "select() modified the scores"
+            models, before, members = window.scans.copy(), given.copy(), list(window.nodes)
+            selection = selector.choose(scan, window, given)
+            assert np.array_equal(window.scans, models), "choose() modified the window's scans"
+            assert window.nodes == members, "choose() modified the window"
+            assert np.array_equal(given, before, equal_nan=True), "choose() modified the scores"
             check_selection(selection, models, before)
             selections.append(selection)
         if scan not in skip:
-            descriptor = np.full(3, float(scan)) if selector.needs_scores else None
-            window.push(Node(scan, 0.1 * scan, se2(0.1 * scan, 0, 0), descriptor=descriptor))
+            window.push(node_at(selector, scan))
         assert len(window) <= selector.capacity, (
             f"the window holds {len(window)} scans, more than capacity = {selector.capacity}"
         )
@@ -142,3 +164,50 @@ def test_fallback_skip_may_leave_a_scan_alone(catalogue: Catalogue, member: Memb
         assert not any(c.is_fallback for c in selection.candidates), (
             "a fallback candidate in spite of fallback=skip"
         )
+
+
+def trials(selector: Selector, scan: int, models: list[int]) -> list[Trial]:
+    """Accepted registrations to models, each off by as many mm as the scans lie apart."""
+    found = []
+    for model in models:
+        off = se2(0.001 * (scan - model), 0, 0)
+        T = inverse(se2(0.1 * model, 0, 0)) @ se2(0.1 * scan, 0, 0) @ off
+        result = RegistrationResult(T, True, 0.9, 0.01, 3)
+        candidate = Candidate(model, 0.9, "a candidate")
+        found.append(Trial(candidate, node_at(selector, model), result))
+    return found
+
+
+def test_it_picks_one_of_what_was_accepted(selector: Selector) -> None:
+    """One, or, for a selector that tries all, several; some were rejected."""
+    selector.window()
+    if selector.needs_truth:
+        for number in range(10):
+            selector.see(scan_at(number))
+    for models in ([4], [2, 4, 7], [8, 3]) if selector.tries_all else ([4], [8]):
+        given = trials(selector, 9, models)
+        which, why = selector.pick(scan_at(9, truth=False), given)
+        assert 0 <= which < len(models), f"picked number {which} of {len(models)}"
+        assert why.strip(), "picked without a reason"
+        again = selector.pick(scan_at(9, truth=False), given)
+        assert again == (which, why), "the same trials, another pick"
+
+
+def test_who_sees_the_truth_says_so(
+    selector: Selector, catalogue: Catalogue, member: Member
+) -> None:
+    """It is refused where there is none, and the reason of every result tells."""
+    if not selector.needs_truth:
+        pytest.skip(f"{member} sees no ground truth")
+    settings = compose_settings([])
+    config = {**settings.config, "selector": catalogue.node(member)}
+    settings = replace(settings, config=config)
+    with pytest.raises(ConfigError, match="ground truth"):
+        check_fit(settings, TinyClouds())
+    selector.window()
+    with pytest.raises(DataError, match="scan 3"):
+        selector.see(scan_at(3, truth=False))
+    for number in range(10):
+        selector.see(scan_at(number))
+    _, why = selector.pick(scan_at(9, truth=False), trials(selector, 9, [8, 4]))
+    assert "truth" in why, f"the reason of every result must say that truth was seen, not {why!r}"

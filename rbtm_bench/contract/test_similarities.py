@@ -12,8 +12,10 @@ from rbtm_bench.contract.scene import TinyClouds
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.datasets.corridor import Corridor
 from rbtm_bench.errors import ConfigError
+from rbtm_bench.geometry import inverse, se2
 from rbtm_bench.similarity.base import Descriptor, Similarity
 from rbtm_bench.types import Array, Scan
+from rbtm_bench.workbench import SharedSimilarity
 
 GROUP = "similarity"
 AGREE = 1e-12
@@ -180,3 +182,95 @@ def test_a_scan_without_returns_has_no_score(
     assert np.isnan(np.concatenate([forward, backward, itself])).all(), (
         "a scan without any return has a score: what is unknown must be NaN"
     )
+
+
+def some_motions(count: int) -> Array:
+    """Small motions (count, 4, 4) in the plane, all different."""
+    steps = np.arange(1.0, count + 1) / count
+    return np.stack([se2(0.11 * k, -0.07 * k, 0.09 * k) for k in steps])
+
+
+def test_scores_are_those_of_no_motion(similarity: Similarity, descriptors: Descriptor) -> None:
+    still = np.tile(np.eye(4), (len(descriptors), 1, 1))
+    scores = similarity.scores(descriptors, descriptors[1])
+    under = similarity.scores_under(descriptors, descriptors[1], still)
+    assert differ(scores, under) <= AGREE, "scores() and scores_under() no motion differ"
+
+
+def test_motions_matter_where_they_are_needed(
+    similarity: Similarity, descriptors: Descriptor
+) -> None:
+    scores = similarity.scores(descriptors, descriptors[0])
+    far = np.tile(se2(0.7, 0.5, 0.6), (len(descriptors), 1, 1))
+    under = similarity.scores_under(descriptors, descriptors[0], far)
+    if not similarity.needs_guess:
+        assert under.tobytes() == scores.tobytes(), (
+            "a motion changes the scores: say needs_guess = True, or no motion will come"
+        )
+        return
+    assert np.isnan(under[0]) or under[0] < scores[0] - 0.01, (
+        f"a scan 0.86 m and 34 deg away from itself scores {under[0]:.4f}, in its place "
+        f"{scores[0]:.4f}: a similarity with needs_guess must tell them apart"
+    )
+
+
+def test_scores_under_motions_keep_the_rules(
+    similarity: Similarity, descriptors: Descriptor
+) -> None:
+    motions, new = some_motions(len(descriptors)), descriptors[-1]
+    before = descriptors.tobytes(), motions.tobytes()
+    scores = similarity.scores_under(descriptors, new, motions)
+    again = similarity.scores_under(descriptors, new, motions)
+    assert (descriptors.tobytes(), motions.tobytes()) == before, "arguments are modified"
+    assert scores.tobytes() == again.tobytes(), "the same question gives other bits"
+    assert scores.shape == (len(descriptors),) and scores.dtype == np.float64
+    known = scores[~np.isnan(scores)]
+    assert ((known >= -1) & (known <= 1)).all(), f"scores beyond [-1, 1]: {known}"
+    alone = [
+        similarity.scores_under(row[None], new, T[None])
+        for row, T in zip(descriptors, motions, strict=True)
+    ]
+    assert differ(scores, np.concatenate(alone)) <= AGREE, "a score depends on the window"
+
+
+def test_scores_under_a_motion_are_symmetric(
+    similarity: Similarity, descriptors: Descriptor
+) -> None:
+    motions, new = some_motions(len(descriptors)), descriptors[-1]
+    forward = similarity.scores_under(descriptors, new, motions)
+    backward = [
+        similarity.scores_under(new[None], row, inverse(T)[None])
+        for row, T in zip(descriptors, motions, strict=True)
+    ]
+    assert differ(forward, np.concatenate(backward)) <= AGREE, (
+        "S(j, k) under T and S(k, j) under its inverse differ"
+    )
+
+
+def test_a_scan_without_returns_has_no_score_under_any_motion(
+    similarity: Similarity, dataset: Dataset, descriptors: Descriptor
+) -> None:
+    nothing = similarity.describe(without_returns(dataset[0]))
+    motions = some_motions(len(descriptors))
+    forward = similarity.scores_under(descriptors, nothing, motions)
+    backward = similarity.scores_under(nothing[None], descriptors[0], motions[:1])
+    assert np.isnan(np.concatenate([forward, backward])).all(), "a score out of nothing"
+
+
+def test_a_sweep_shares_the_same_bits(
+    similarity: Similarity, dataset: Dataset, descriptors: Descriptor
+) -> None:
+    shared = SharedSimilarity(similarity, dataset)
+    shared.widen(3)
+    assert shared.needs_guess == similarity.needs_guess
+    numbers = np.stack([shared.describe(scan) for scan in dataset])
+    assert shared.matrix(numbers).tobytes() == similarity.matrix(descriptors).tobytes()
+    motions = some_motions(len(descriptors))
+    for first in (0, len(descriptors) - 4):  # beyond the band, and within it
+        window, new = slice(first, -1), -1
+        expected = similarity.scores(descriptors[window], descriptors[new])
+        found = shared.scores(numbers[window], numbers[new])
+        assert found.tobytes() == expected.tobytes(), "shared scores are other bits"
+        expected = similarity.scores_under(descriptors[window], descriptors[new], motions[window])
+        found = shared.scores_under(numbers[window], numbers[new], motions[window])
+        assert found.tobytes() == expected.tobytes(), "shared scores under a guess: other bits"

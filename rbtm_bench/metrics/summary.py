@@ -17,6 +17,8 @@ COLUMNS = {
     "rejected": "count; registrations that the check or the backend refused; steps",
     "fallbacks": "count; scans registered to the fallback; steps",
     "skipped": "count; scans left at their predicted pose by fallback=skip; steps",
+    "longest_skip": "scans; most scans in a row without an accepted registration; steps",
+    "restarts": "count; scans matched to an unmatched one before, after too many of them; steps",
     "undefined_scores": "count; similarities that were undefined (NaN); steps",
     "reused": "share; accepted registrations that were taken from memory or the pair store; steps",
     "mean_gap": "scans; mean of scan - model over registered scans; steps",
@@ -40,6 +42,8 @@ def summarise_steps(records: Sequence[StepRecord], peak_memory_mb: float | None 
         "rejected": sum(r.rejected for r in records),
         "fallbacks": sum(r.status == "fallback" for r in records),
         "skipped": sum(r.status == "skipped" for r in records),
+        "longest_skip": _longest_skip(records),
+        "restarts": sum(r.restart for r in records),
         "undefined_scores": sum(r.undefined_scores for r in records),
         "reused": float(np.mean(reused)) if reused else None,
         "mean_gap": float(np.mean(gaps)) if gaps else None,
@@ -48,3 +52,12 @@ def summarise_steps(records: Sequence[StepRecord], peak_memory_mb: float | None 
         "degenerate": float(np.mean(np.array(held) < DEGENERATE)) if held else None,
         **cost.cost(records, peak_memory_mb),
     }
+
+
+def _longest_skip(records: Sequence[StepRecord]) -> int:
+    """The most scans in a row, the first scan aside, whose pose is a prediction."""
+    longest = here = 0
+    for record in records[1:]:
+        here = 0 if record.status in ("registered", "fallback") else here + 1
+        longest = max(longest, here)
+    return longest

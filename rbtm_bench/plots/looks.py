@@ -43,6 +43,9 @@ SELECTORS: dict[str, Look] = {
     "fixed_gap": Look(style.SKY, (0, (6, 1.5, 1, 1.5)), 1.3, "^"),
     "oldest": Look(style.NAVY, (0, (1, 1.2)), 1.5, "v"),
     "random_gap": Look(GREY, (0, (3, 1.2, 1, 1.2, 1, 1.2)), 1.2, "x"),
+    "best": Look(style.ORANGE, (0, (2, 1, 2, 3)), 1.4, "d"),
+    "rbtm_verified": Look(style.VERMILION, (0, (7, 2)), 1.1, "H"),
+    "oracle": Look(style.BLACK, (0, (1, 1)), 2.2, "+"),  # sees the truth
     "rbtm": Look(style.VERMILION, "-", 1.8, "D", filled=True),
     "none": Look(style.BLACK, (0, (8, 1.5)), 1.0, "*", filled=True),  # a whole system
 }

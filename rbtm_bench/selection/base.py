@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -10,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rbtm_bench.selection.window import Keyframes, Window
-from rbtm_bench.types import Array
+from rbtm_bench.types import Array, Node, RegistrationResult, Scan
+from rbtm_bench.uncertainty import InformationFrom
 
 Fallback = Literal["previous", "best", "skip"]
 Content = Literal["scans", "keyframes"]
@@ -34,19 +36,48 @@ class Selection:
     """How many of the window's scores were undefined (NaN)."""
 
 
+class Trial(NamedTuple):
+    """A candidate whose registration was accepted."""
+
+    candidate: Candidate
+    model: Node
+    result: RegistrationResult
+
+
 class Selector(ABC):
     """A strategy: which scans are remembered, and in which order they are tried.
 
     A plug-in writes ``order``. ``capacity`` is how many past scans the window holds;
-    ``needs_scores`` whether the similarity has to be computed at all.
+    ``needs_scores`` whether the similarity has to be computed at all. With ``fallback`` "skip" a
+    scan without an accepted registration is no model scan for others; after ``restart_after`` of
+    them in a row (None: ``capacity`` + 1) the one before may be, if the new scan matches it.
     """
 
     requires: tuple[str, ...] = ()
     needs_scores: bool = False
+    needs_truth: bool = False
+    """True for what is no method but a bound: ``see`` is then given every scan with its ground
+    truth, which nothing else in the loop ever sees. Its results must say so in their reason."""
+    needs_check: bool = False
+    """True: refused together with a check that accepts everything."""
+    tries_all: bool = False
+    """True: every candidate is registered, and ``pick`` chooses among those that are accepted."""
+    covariance_from: InformationFrom | None = None
+    """Where the covariance of the window's nodes comes from; None: nobody needs it."""
+    restart_after: int | None = None
 
-    def __init__(self, capacity: int, fallback: Fallback = "previous") -> None:
+    def __init__(
+        self, capacity: int, fallback: Fallback = "previous", restart_after: int | None = None
+    ) -> None:
         self.capacity = capacity
         self.fallback = fallback
+        self.restart_after = restart_after
+
+    @property
+    def patience(self) -> int:
+        """Scans in a row that may match nothing. By default as many as the window counts, the new
+        one included: from then on it remembers only what it would have forgotten."""
+        return self.capacity + 1 if self.restart_after is None else max(1, self.restart_after)
 
     def window(self) -> Window:
         """A new, empty window of the kind that this strategy needs."""
@@ -61,9 +92,27 @@ class Selector(ABC):
         NaN if ``needs_scores`` is False). W >= 1.
         """
 
+    def see(self, scan: Scan) -> None:  # noqa: B027 (only with needs_truth)
+        """Every scan with its ground truth, before it is selected for; see ``needs_truth``."""
+
+    def choose(self, scan: int, window: Window, scores: Array) -> Selection:
+        """What the loop calls: ``select`` with the window's numbers. A strategy that looks at the
+        members themselves derives from ``thresholded.ChainSelector``."""
+        return self.select(scan, window.scans, scores)
+
     def select(self, scan: int, models: NDArray[np.int64], scores: Array) -> Selection:
         """The ordered candidates, then the fallback (unless it was among them)."""
-        tried = self.order(scan, models, scores)
+        return self.selection(self.order(scan, models, scores), models, scores)
+
+    def pick(self, scan: Scan, trials: Sequence[Trial]) -> tuple[int, str]:
+        """Which of the accepted registrations is believed, and why: the first. One is all there
+        is unless ``tries_all``; ``scan`` has no ground truth."""
+        return 0, trials[0].candidate.reason
+
+    def selection(
+        self, tried: list[tuple[int, str]], models: NDArray[np.int64], scores: Array
+    ) -> Selection:
+        """Candidates out of positions with reasons, and the fallback."""
         numbers, values = models.tolist(), scores.tolist()
         chosen = [Candidate(numbers[i], values[i], why) for i, why in tried]
         last = self._fallback(scores)

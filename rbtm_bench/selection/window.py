@@ -72,9 +72,11 @@ class Window:
             raise KeyError(f"scan {scan} is not in the window")
         return position
 
-    def push(self, node: Node) -> None:
-        """Add a scan, newest last; the oldest goes when the window is full."""
-        if self.keyframes and self.nodes and not self.keyframes.is_new(self.nodes[-1], node):
+    def push(self, node: Node, always: bool = False) -> None:
+        """Add a scan, newest last; the oldest goes when the window is full. ``always``: even one
+        that is no keyframe."""
+        rule = None if always or not self.nodes else self.keyframes
+        if rule is not None and not rule.is_new(self.nodes[-1], node):
             return
         self.nodes.append(node)
         self._by_scan[node.scan] = node

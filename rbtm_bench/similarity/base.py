@@ -22,10 +22,16 @@ class Similarity(ABC):
 
     A plug-in writes ``describe`` and ``scores``. Descriptors are 1-D arrays of one length and
     type for a whole data set, so that a window of them is a matrix.
+
+    One that compares scans under the initial guess sets ``needs_guess`` and writes
+    ``scores_under`` as well; its ``scores``, and the ``matrix`` and ``band`` made of them, are
+    those of no motion.
     """
 
     requires: tuple[str, ...] = ()
     """Names of the Python packages that must be importable."""
+    needs_guess: bool = False
+    """Whether ``scores_under`` reads the motions."""
     saved_seconds: float = 0.0
     """What the last answer would have taken, had it not been shared; plug-ins leave it alone."""
 
@@ -39,6 +45,11 @@ class Similarity(ABC):
     @abstractmethod
     def scores(self, window: Descriptor, descriptor: Descriptor) -> Array:
         """Scores (W,) of the window's descriptors (W, D) against one descriptor (D,)."""
+
+    def scores_under(self, window: Descriptor, descriptor: Descriptor, motions: Array) -> Array:
+        """Scores (W,) as ``scores``, given the guessed T_model_scan (W, 4, 4) of the new scan
+        from each of the window's members; without ``needs_guess`` they change nothing."""
+        return self.scores(window, descriptor)
 
     def pairwise(self, rows: Descriptor, columns: Descriptor) -> Array:
         """Scores (M, K) of descriptors (M, D) against descriptors (K, D)."""

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from rbtm_bench.similarity.base import Similarity
 from rbtm_bench.similarity.curvature import Curvature
 from rbtm_bench.similarity.curvature_circular import CurvatureCircular
+from rbtm_bench.similarity.range_correlation import RangeCorrelation
 from rbtm_bench.types import Array
 
 ANGLES = np.radians(np.arange(-30.0, 30.0))
@@ -23,6 +24,8 @@ SIMILARITIES: list[Similarity] = [
     CurvatureCircular(half_span_deg=1.0, max_lag_deg=3.0, lag_phase="consistent"),
     CurvatureCircular(center=True, max_lag_deg=2.0),
     CurvatureCircular(center=True, lag_phase="consistent", min_valid_share=0.8, min_variance=0.3),
+    RangeCorrelation(),
+    RangeCorrelation(0.0, min_valid_share=0.8),
 ]
 
 

@@ -13,10 +13,15 @@ import pytest
 
 from rbtm_bench.datasets.carmen import Carmen
 from rbtm_bench.datasets.corridor import Corridor
+from rbtm_bench.geometry import inverse, se2
 from rbtm_bench.selection.rbtm import Rbtm
 from rbtm_bench.similarity.base import Similarity
 from rbtm_bench.similarity.curvature import Curvature
 from rbtm_bench.similarity.curvature_circular import CurvatureCircular
+from rbtm_bench.similarity.mutual_neighbours import MutualNeighbours
+from rbtm_bench.similarity.overlap import Overlap
+from rbtm_bench.similarity.points import PointSimilarity
+from rbtm_bench.similarity.range_correlation import RangeCorrelation
 from rbtm_bench.types import Array
 
 SEEDS = range(3)
@@ -154,3 +159,47 @@ def test_few_real_scans_are_undefined(data_dir: Path, log, share) -> None:
     scans = Carmen(str(data_dir / "freiburg" / f"{log}.clf.gz"), stride=3)
     blank = [not similarity.describe(scan).any() for scan in scans]
     assert len(blank) > 600 and np.mean(blank) < share
+
+
+def under(similarity: PointSimilarity, drive: Corridor, gap: int, off: Array) -> float:
+    """The mean score of pairs so many scans apart, under a guess that is ``off`` from the truth."""
+    scores = []
+    for first in range(0, len(drive) - gap, 7):
+        model, scan = drive[first], drive[first + gap]
+        assert model.ground_truth is not None and scan.ground_truth is not None
+        guess = inverse(model.ground_truth) @ scan.ground_truth @ off
+        window = similarity.describe(model)[None]
+        scores.append(similarity.scores_under(window, similarity.describe(scan), guess[None])[0])
+    return float(np.mean(scores))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_overlap_is_not_fooled_by_recesses_that_repeat(seed) -> None:
+    drive = corridor("paper", 0.010, seed)
+    true = [under(Overlap(), drive, gap, np.eye(4)) for gap in (1, 30, 60, 100, 160)]
+    assert true == sorted(true, reverse=True)
+    assert true[0] > 0.99 and 0.54 < true[-1] < 0.60
+    ranges = matrix_of(RangeCorrelation(), drive)
+    assert at_gap(ranges, 160) > 0.98 > 0.92 > at_gap(ranges, 100)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_an_error_of_the_guess_costs(seed) -> None:
+    """At 0.3 m overlap hardly sees 5 deg; at 0.05 m, and with mutual neighbours, it is halved."""
+    drive, off = corridor("paper", 0.010, seed), se2(0, 0, np.radians(5))
+    cost = {
+        name: under(similarity, drive, 10, off) / under(similarity, drive, 10, np.eye(4))
+        for name, similarity in [
+            ("wide", Overlap()),
+            ("narrow", Overlap(0.05)),
+            ("mutual", MutualNeighbours()),
+        ]
+    }
+    assert cost["wide"] > 0.98 and cost["narrow"] < 0.6 and cost["mutual"] < 0.45
+
+
+def test_a_guess_is_believed() -> None:
+    """A limit: 1 m too long, where nothing in the scans contradicts it."""
+    drive = corridor("bare", 0.010)
+    assert under(Overlap(), drive, 1, se2(1, 0, 0)) > 0.75
+    assert at_gap(matrix_of(RangeCorrelation(), drive), 160) > 0.99
