@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from paper_plan import NOISE_MM, Table
-from paper_tables import ERROR, PARTS, read, replicate
+from paper_plan import PAPER_BACKEND, Table
+from paper_tables import ERROR, PARTS, number, read, replicate
+from paper_ways import NOISE_MM
 
 from rbtm_bench.datasets.base import beam_points
 from rbtm_bench.datasets.corridor import Corridor
 from rbtm_bench.datasets.environments import PAPER
 from rbtm_bench.plots import maps, paper, style
+from rbtm_bench.plots import ratios as ratio_plots
 from rbtm_bench.plots.folder import read_scene, read_similarity, read_steps
 from rbtm_bench.results import Run
 from rbtm_bench.selection.rbtm import Rbtm
@@ -39,25 +41,30 @@ def draw(
     table: Table,
     chosen: Mapping[str, int],
     shown: Mapping[str, list[str]],
+    table1: pd.DataFrame,
     ratio: pd.DataFrame,
 ) -> list[Path]:
     """Draw all figures into ``out``, from the runs of ``folder`` named in ``shown``."""
     runs = {way: found[0] for way, names in shown.items() if (found := read(folder, names))}
     written: list[Path] = []
     with style.paper():
-        for stem, figure in _figures(runs, table, chosen, ratio):
+        for stem, figure in _figures(runs, table, chosen, table1, ratio):
             written += style.save(figure, out, stem)
     return written
 
 
 def _figures(
-    runs: Mapping[str, Run], table: Table, chosen: Mapping[str, int], ratio: pd.DataFrame
+    runs: Mapping[str, Run],
+    table: Table,
+    chosen: Mapping[str, int],
+    table1: pd.DataFrame,
+    ratio: pd.DataFrame,
 ) -> Iterator[tuple[str, Figure]]:
     yield "fig1b", descriptors(table.size.scans)
     yield "fig1c", matrices(runs)
     yield "fig2", model_choice(runs["circular"])
     yield "fig3", environment(table.size.scans)
-    yield from (("fig4" + letter, figure) for letter, figure in _maps(runs, table, chosen))
+    yield from (("fig4" + letter, figure) for letter, figure in _maps(runs, table, chosen, table1))
     yield "fig_ratio", ratios(ratio)
 
 
@@ -142,7 +149,7 @@ def environment(scans: int) -> Figure:
     beams, field = len(data.angles), np.degrees(data.angles[-1] - data.angles[0])
     text = (
         f"The simulated corridor after Fig. 3 (cm). Sensor: {field:.0f} deg, {beams} beams, "
-        f"range {MAX_RANGE:g} m, {NOISE_MM:g} mm noise"
+        f"range {MAX_RANGE:g} m, noise {NOISE_MM:g} mm"
     )
     path = data.ground_truth[:, :2, 3]
     return paper.environment(
@@ -151,7 +158,7 @@ def environment(scans: int) -> Figure:
 
 
 def _maps(
-    runs: Mapping[str, Run], table: Table, chosen: Mapping[str, int]
+    runs: Mapping[str, Run], table: Table, chosen: Mapping[str, int], table1: pd.DataFrame
 ) -> Iterator[tuple[str, Figure]]:
     """Fig. 4(a) and (b) in the same limits."""
     scenes = {way: read_scene(runs[way]) for way in ("standard", "circular") if way in runs}
@@ -159,10 +166,24 @@ def _maps(
     limits = maps.view(list(known.values()))
     for letter, (way, scene) in zip("ab", known.items(), strict=False):
         run = runs[way]
-        values = [float(run.metrics[key]) for key in (ERROR, *PARTS.values())]
-        name = f"({letter}) {table.ways[way].name}, {table.ways[way].setting(chosen[way])}"
-        words = f"{name}, {_seed(run)}\n{paper.error_words(*values)}"
-        yield letter, paper.map_figure(scene, limits, words)
+        mm, along, cross, turn = (number(run.metrics[key]) for key in (ERROR, *PARTS.values()))
+        yield (
+            letter,
+            paper.map_figure(
+                scene,
+                limits,
+                f"({letter}) {table.ways[way].name}, {table.ways[way].brief(chosen[way])}, "
+                f"{_seed(run)}\nfinal error {mm} mm ({_median(table1, way)})\n"
+                f"along {along} mm, cross {cross} mm, heading {turn} deg",
+            ),
+        )
+
+
+def _median(table1: pd.DataFrame, way: str) -> str:
+    """Of all seeds, beside the one that a figure shows."""
+    rows = table1[(table1["way"] == way) & (table1["backend"] == PAPER_BACKEND)]
+    row = rows.iloc[0]
+    return f"median of {row['runs']} seeds {number(row['median_error_mm'])} mm"
 
 
 def _seed(run: Run) -> str:
@@ -180,12 +201,12 @@ def ratios(table: pd.DataFrame) -> Figure:
         "How many times smaller than the standard ICP's is the final error of RBTM (above) and of "
         f"a fixed gap (below)? Point-to-point ICP, median over {runs} seeds"
     )
-    return paper.ratios(rows, title, THEIR_RATIO)
+    return ratio_plots.draw(rows, title, THEIR_RATIO)
 
 
-def _cells(table: pd.DataFrame, column: str) -> Sequence[paper.Ratio]:
+def _cells(table: pd.DataFrame, column: str) -> Sequence[ratio_plots.Ratio]:
     return [
-        paper.Ratio(int(n), float(noise), float(distance), float(value))
+        ratio_plots.Ratio(int(n), float(noise), float(distance), float(value))
         for n, noise, distance, value in zip(
             table["scans"], table["noise_mm"], table["distance_m"], table[column], strict=True
         )

@@ -1,25 +1,20 @@
-"""What scripts/reproduce_paper.py compares: the rows of Table I, the tries that each of them gets,
-the grid of the ratio and the open settings; and the runs that this takes.
-
-Lengths are in cm of travel, so that another number of scans means the same distances.
-"""
+"""What scripts/reproduce_paper.py compares: Table I, the grid of the ratio and the open settings;
+and the runs that this takes."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
-from rbtm_bench.cli_about import missing_library
+from paper_ways import NOISE_MM, Way, make_ways
+
 from rbtm_bench.errors import ConfigError
 from rbtm_bench.grid import Point, make_points
-from rbtm_bench.settings import Settings, is_system, locate, member_nodes, shown
+from rbtm_bench.installed import planar_backends
+from rbtm_bench.settings import Settings, shown
 
-PATH_CM = 180.0
-"""The paper's path."""
-NOISE_MM = 10.0
-"""Of Table I's rows with noise, standard deviation of a range."""
 PAPER_BACKEND = "open3d_p2p"
 """Point-to-point ICP, the paper's matcher."""
 FEWEST_SCANS = 10
@@ -30,8 +25,8 @@ CHOICE_BEAMS = (661, 701, 651, 711, 641)
 """Without noise nothing is random, so sensors with other beams take the place of seeds."""
 
 QUICK_BACKENDS = (
-    PAPER_BACKEND, "open3d_p2plane", "open3d_gicp", "open3d_symmetric", "kiss_icp",
-    "small_gicp_gicp", "ndt_2d", "psm", "plicp",
+    PAPER_BACKEND, "open3d_p2plane", "open3d_gicp", "open3d_symmetric", "kiss_icp", "ndt_2d",
+    "psm", "plicp",
 )  # fmt: skip
 
 RATIO = ("standard", "circular", "fixed_gap")
@@ -44,85 +39,6 @@ COMMON = (
     "guess=constant_velocity",
     "overwrite=true",
 )
-
-
-@dataclass(frozen=True)
-class Way:
-    """A row of Table I. Its ``values`` of ``knob`` are the settings that it may choose from."""
-
-    key: str
-    name: str
-    words: tuple[str, ...]
-    knob: str
-    values: tuple[float, ...]
-    noise_mm: float = NOISE_MM
-
-    def tried(self, k: int) -> str:
-        """The ``k``-th try as an override."""
-        return f"{self.knob}={shown(self.values[k])}"
-
-    def setting(self, k: int) -> str:
-        """The same in words: "window 64, threshold 0.5"."""
-        text = KNOBS[self.knob].format(f"{self.values[k]:g}")
-        window = next((w.partition("=")[2] for w in self.words if "window=" in w), None)
-        text = f"window {window}, {text}" if window else text
-        return f"gaps of RBTM, {text}" if self.key == "random_gap" else text
-
-
-KNOBS = {
-    "registration.max_correspondence_distance": "ICP distance {} m",
-    "selector.threshold": "threshold {}",
-    "selector.gap": "gap {} scans",
-    "selector.distance": "keyframe every {} m",
-    "selector.window": "window {} scans",
-}
-
-
-def make_ways(scans: int) -> dict[str, Way]:
-    """The rows of Table I for so many scans on the path, by key; four tries each."""
-    window = f"selector.window={window_of(64, scans)}"
-    rbtm = ("selector=rbtm", window)
-    literal = (*rbtm, "similarity=curvature")
-    gaps = _distinct(gap_of(cm, scans) for cm in (5, 10, 20, 40))
-    windows = _distinct(window_of(cm, scans) for cm in (8, 16, 32, 64))
-    # The standard way has nothing of its own to choose, so it gets its ICP's distance.
-    distance = ("registration.max_correspondence_distance", (0.1, 0.2, 0.3, 0.5))
-    low = ("selector.threshold", (0.2, 0.3, 0.4, 0.5))  # its scores stay below 0.8
-    high = ("selector.threshold", (0.5, 0.6, 0.7, 0.8))
-    metres = ("selector.distance", (0.1, 0.2, 0.3, 0.5))
-    found = (
-        Way("standard", "standard ICP (previous scan)", ("selector=previous",), *distance),
-        Way("literal", "RBTM, the paper's descriptor", literal, *low),
-        Way("circular", "RBTM, circular descriptor", rbtm, *high),
-        Way("fixed_gap", "control: fixed gap", ("selector=fixed_gap",), "selector.gap", gaps),
-        Way("keyframe", "control: last keyframe", ("selector=keyframe",), *metres),
-        Way(
-            "oldest", "control: oldest of window", ("selector=oldest",), "selector.window", windows
-        ),
-        # its tries are those of "circular", whose gaps it draws
-        Way("random_gap", "control: random gap", ("selector=rbtm,random_gap", window), *high),
-        Way("standard_clean", "standard ICP, no noise", ("selector=previous",), *distance, 0.0),
-        Way("literal_clean", "RBTM, the paper's descriptor, no noise", literal, *low, 0.0),
-    )
-    return {way.key: way for way in found}
-
-
-def gap_of(cm: float, scans: int) -> int:
-    """A gap in scans for a distance travelled."""
-    return max(1, round(cm * (scans - 1) / PATH_CM))
-
-
-def window_of(cm: float, scans: int) -> int:
-    """A window in scans; it counts the new scan, so two at least."""
-    return max(2, round(cm * (scans - 1) / PATH_CM))
-
-
-def _distinct(ascending: Iterable[int]) -> tuple[float, ...]:
-    """The numbers, with few scans on the path as far apart as makes them different tries."""
-    found: list[float] = []
-    for value in ascending:
-        found.append(max(value, found[-1] + 1) if found else value)
-    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -152,7 +68,7 @@ OPEN = (
     Change("noise: 50 mm, sensor: 40 deg, 61 beams", SPARSE),
     Change("guess: identity", ("guess=identity",), quick=True),
     Change("guess: chain", ("guess=chain",)),
-    Change("guess: odometry", ("guess=odometry",), quick=True),
+    Change("guess: odometry", ("guess=odometry",)),
     Change("ICP: 5 iterations", ("backend.max_iterations=5",)),
     Change("ICP: distance 1 m", ("registration.max_correspondence_distance=1.0",)),
     Change("window: 4 scans, as in Fig. 2", ("selector.window=4",), quick=True, rbtm_only=True),
@@ -194,7 +110,7 @@ class Size:
 FULL = Size(
     False, 20, 5, 181, (), (19, 37, 91, 181, 361), (0, 3, 10, 30), (0.1, 0.2, 0.3, 0.5, 1.0), 10
 )
-QUICK = Size(True, 5, 2, 181, QUICK_BACKENDS, (19, 61, 181), (0, 3, 10), (0.1, 0.3, 1.0), 3)
+QUICK = Size(True, 5, 2, 181, QUICK_BACKENDS, (19, 61, 181), (0, 10), (0.1, 0.3, 1.0), 3)
 
 
 def make_size(
@@ -211,7 +127,7 @@ def make_size(
     if backends and PAPER_BACKEND not in backends:
         raise ConfigError(f"--backends {','.join(backends)}: must hold {PAPER_BACKEND}")
     size = QUICK if quick else FULL
-    there = planar_backends()
+    there = planar_backends(PAPER_BACKEND)
     chosen = tuple(backends or size.backends or there)
     size = replace(
         size, backends=chosen, left_out=tuple(name for name in there if name not in chosen)
@@ -223,18 +139,6 @@ def make_size(
         grid_scans = tuple(n for n in size.grid_scans if n < scans)
         size = replace(size, scans=scans, grid_scans=(*grid_scans, scans))
     return size
-
-
-def planar_backends() -> tuple[str, ...]:
-    """Every installed backend that registers pairs of planar scans; the paper's first."""
-    found = []
-    for name, node in member_nodes("backend").items():
-        if name == "none" or missing_library("backend", name, node) or not isinstance(node, dict):
-            continue
-        made = locate(f"backend={name}", str(node["_target_"]))
-        if "2d" in getattr(made, "dimensions", ()) and not is_system({"backend": node}):
-            found.append(name)
-    return tuple(sorted(found, key=lambda name: (name != PAPER_BACKEND, name)))
 
 
 Replicates = tuple[str, Sequence[int]]

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from paper_plan import PAPER_BACKEND, RATIO, Size, Way, stem_of
+from paper_plan import PAPER_BACKEND, RATIO, Size, stem_of
+from paper_ways import NAMES, Way
 from tabulate import tabulate
 
 from rbtm_bench import statistics
@@ -126,7 +127,8 @@ def table1(out: Path, ways: Mapping[str, Way], size: Size, choice: Choice) -> pd
             here.append(
                 {
                     "backend": backend, "method": way.name, "way": way.key,
-                    "noise_mm": way.noise_mm, "setting": way.setting(k), "tried": len(way.values),
+                    "noise_mm": way.noise_mm, "setting": way.setting(k), "brief": way.brief(k),
+                    "tried": len(way.values),
                     "chosen_on": f"{key}={_listed(size.replicates(way.noise_mm, True)[1])}",
                     "shown_on": f"{key}={_listed(replicates)}",
                     "failed": len(names) - len(runs), **_numbers(runs, standard),
@@ -270,21 +272,35 @@ def median_run(out: Path, names: Sequence[str]) -> Run:
     return min(runs, key=lambda run: abs(run.metrics[ERROR] - middle))
 
 
-def summary(table: pd.DataFrame) -> pd.DataFrame:
-    """Table I in short: a row a method, the paper's ICP in full, of the others the medians."""
-    backends = list(dict.fromkeys(table["backend"]))
-    first = PAPER_BACKEND if PAPER_BACKEND in backends else backends[0]
+def paper_icp(table: pd.DataFrame) -> pd.DataFrame:
+    """Table I in short: the rows of the paper's ICP."""
+    rows = [
+        {
+            "method": row["method"],
+            "setting": row["brief"],
+            "median mm": number(row["median_error_mm"]),
+            "95% interval": between(row["low_mm"], row["high_mm"]),
+            "along mm": number(row["along_mm"]),
+            "cross mm": number(row["cross_mm"]),
+            "heading deg": number(row["heading_deg"]),
+            "standard / this": number(row["standard_over_this"]),
+        }
+        for row in table[table["backend"] == PAPER_BACKEND].to_dict("records")
+    ]
+    return pd.DataFrame(rows)
+
+
+def by_backend(table: pd.DataFrame) -> pd.DataFrame:
+    """The medians of Table I, a row a backend; behind a control how RBTM (circular) compares:
+    (+) shown better, (-) shown worse, as in ``against_controls``."""
+    verdicts = against_controls(table).set_index(["backend", "control"])["verdict"]
+    marks = {"better": " (+)", "worse": " (-)", "": ""}
     rows = []
-    for _, here in table.groupby("way", sort=False):
-        by = here.set_index("backend")
-        main = by.loc[first]
-        row = {"method": main["method"], "settings tried": str(main["tried"])}
-        row[f"{first} median, mm"] = number(main["median_error_mm"])
-        row["95% interval"] = between(main["low_mm"], main["high_mm"])
-        row |= {"along mm": number(main["along_mm"]), "cross mm": number(main["cross_mm"])}
-        row["heading deg"] = number(main["heading_deg"])
-        row["standard / this"] = number(main["standard_over_this"])
-        row |= {b: number(by.loc[b, "median_error_mm"]) for b in backends if b != first}
+    for backend, here in table.groupby("backend", sort=False):
+        row = {"backend": backend}
+        for way, mm in zip(here["way"], here["median_error_mm"], strict=True):
+            mark = marks[verdicts.loc[backend, way]] if way in CONTROLS else ""
+            row[NAMES[way][1]] = number(mm) + mark
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -297,10 +313,11 @@ def between(low: float | None, high: float | None) -> str:
 
 
 def number(value: float | None) -> str:
-    """Three digits, no exponent; nothing for a number that is not there."""
+    """Two digits, above 100 all before the point, no exponent; nothing for a number that is not
+    there."""
     if value is None or not math.isfinite(value):
         return ""
-    return f"{value:.0f}" if abs(value) >= 99.95 else f"{float(f'{value:.3g}'):g}"
+    return f"{value:.0f}" if abs(value) >= 99.5 else f"{float(f'{value:.2g}'):g}"
 
 
 def markdown(table: pd.DataFrame) -> str:

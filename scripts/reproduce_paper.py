@@ -84,7 +84,7 @@ def reproduce(size: Size, out: Path, jobs: int, command: str) -> int:
         ("choices", choices), ("table1", table1), ("ratio", ratio), ("open_settings", open_settings)
     ):  # fmt: skip
         write_text(out / f"{name}.csv", found.to_csv(index=False))
-    files = draw(folder, out, table, of_paper, shown, ratio)
+    files = draw(folder, out, table, of_paper, shown, table1, ratio)
     write_text(out / "table1.md", table_page(table1, size))
     spent = time.perf_counter() - started, cpu_seconds()
     cost = cost_words(maker.made, jobs, *spent)

@@ -14,15 +14,14 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import FancyArrowPatch, Patch, Polygon, Rectangle
+from matplotlib.patches import FancyArrowPatch, Patch, Polygon
 from matplotlib.path import Path as MplPath
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from rbtm_bench.datasets.environments import Segment
-from rbtm_bench.plots import heatmaps, labels, maps, style
+from rbtm_bench.plots import maps, style
 from rbtm_bench.plots.folder import Scene, Steps
 from rbtm_bench.types import Array
 
@@ -32,7 +31,7 @@ ROBOT = 8.0
 """Radius of the circle that stands for the robot, cm."""
 FIRST: dict[str, Any] = {"color": style.NAVY, "lw": 1.3}
 SECOND: dict[str, Any] = {"color": style.VERMILION, "lw": 0.7}
-DOT = 1.2
+DOT = 0.7
 """Of a map's points, points."""
 CHOICES: dict[str, dict[str, Any]] = {
     "chosen": {"color": style.BLACK, "lw": 1.6, "ls": "-"},
@@ -40,6 +39,9 @@ CHOICES: dict[str, dict[str, Any]] = {
     "not asked": {"color": "0.5", "lw": 0.9, "ls": ":"},
 }
 """What became of a candidate: lines that differ in grey as well."""
+NEW: dict[str, Any] = {"marker": "o", "mec": style.BLACK, "mew": 1.6, "mfc": "0.85"}
+CANDIDATE: dict[str, Any] = {"marker": "o", "mec": style.BLACK, "mew": 0.8, "mfc": "w"}
+OUTSIDE: dict[str, Any] = {"marker": "o", "mec": "0.7", "mew": 0.8, "mfc": "w"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,16 +74,6 @@ class Tried:
     outcome: str
 
 
-@dataclass(frozen=True)
-class Ratio:
-    """A cell of the ratio's grid."""
-
-    scans: int
-    noise_mm: float
-    distance_m: float
-    ratio: float
-
-
 def outline(walls: Sequence[Segment]) -> Array:
     """The corners (W, 2) of the room that the wall segments enclose, one after the other.
 
@@ -108,6 +100,7 @@ def descriptors(room: Array, views: tuple[View, View], pairs: Sequence[Pair]) ->
     for half, view, look in zip((0, 1), views, (FIRST, SECOND), strict=True):
         ax = figure.add_subplot(grid[half * len(pairs) : (half + 1) * len(pairs), 0])
         _one_scan(ax, room, view, look)
+        ax.set_title(f"({'ab'[half]}) {view.name}")
         ax.label_outer()
     strips: list[Axes] = []
     for row, pair in enumerate(pairs):
@@ -117,13 +110,11 @@ def descriptors(room: Array, views: tuple[View, View], pairs: Sequence[Pair]) ->
             )
             strip.plot(np.arange(2, len(phi) + 2), np.degrees(phi), **look)
             strip.set(ylim=(-100, 100), yticks=(-90, 0, 90))
-            strip.set_ylabel("$\\phi$ (deg)")
-            strip.text(
-                0.5, 0.5, f"scan {'jk'[number]}", ha="center", va="center",
-                transform=strip.transAxes, bbox={"fc": "w", "ec": "none", "pad": 1.5},
-            )  # fmt: skip
+            strip.set_ylabel(f"scan {'jk'[number]}\n$\\phi$ (deg)")
+            _no_return(strip, phi)
             if number == 0:
-                strip.set_title(f"{pair.title}: similarity S = {pair.score:.2f}")
+                letter = "cdef"[row]
+                strip.set_title(f"({letter}) {pair.title}: similarity S = {pair.score:.2f}")
             strips.append(strip)
     for strip in strips[:-1]:
         strip.tick_params(labelbottom=False)
@@ -136,7 +127,18 @@ def _one_scan(ax: Axes, room: Array, view: View, look: dict[str, Any]) -> None:
     _room(ax, room, edge="0.5")
     ax.plot(*(CM * view.points.T), ls="", marker=".", ms=3.5, mew=0, color=look["color"])
     _robot(ax, view.pose, look["color"])
-    ax.set_title(view.name)
+
+
+def _no_return(ax: Axes, phi: Array) -> None:
+    """Say why there is nothing where the longest run of beams has no descriptor."""
+    empty = np.flatnonzero(np.isnan(phi))
+    if not len(empty):
+        return
+    run = max(np.split(empty, np.flatnonzero(np.diff(empty) > 1) + 1), key=len)
+    if len(run) > 0.08 * len(phi):
+        ax.text(
+            run.mean() + 2, 0.0, "no\nreturn", ha="center", va="center", fontsize=style.FONT - 2
+        )
 
 
 def _room(ax: Axes, room: Array, edge: str = style.BLACK) -> None:
@@ -174,7 +176,7 @@ def matrices(found: Sequence[tuple[str, tuple[Array, Array]]]) -> Figure:
             interpolation="nearest",
         )  # fmt: skip
         others = scores[~np.eye(len(scores), dtype=bool)]
-        ax.set_title(f"{title}\nhighest of two scans: {np.nanmax(others):.2f}")
+        ax.set_title(f"{title}\nlargest off the diagonal: {np.nanmax(others):.2f}")
         ax.set_xlabel("scan k")
         ax.xaxis.set_major_locator(MaxNLocator(4, integer=True))
         ax.yaxis.set_major_locator(MaxNLocator(4, integer=True))
@@ -204,11 +206,13 @@ def model_choice(
     above.set(xlim=(0.3, last + 0.3), ylim=(0.4 - len(example), 0.75), yticks=[], xticks=[])
     above.spines[:].set_visible(False)
     above.set_title(style.wrapped(f"(a) {title}", style.DOUBLE))
-    words = ("S > Th: the model scan", "S < Th: not matched", "not asked any more")
+    words = ("S > Th: the model scan", "S \N{LESS-THAN OR EQUAL TO} Th: not matched", "not asked")
     handles = [
         Line2D([], [], **look, label=word)
         for look, word in zip(CHOICES.values(), words, strict=True)
     ]
+    dots = (("new scan", NEW), ("outside the window", OUTSIDE))
+    handles += [Line2D([], [], ls="", ms=8, label=word, **look) for word, look in dots]
     above.legend(handles=handles, loc="upper right")
     _models(below, steps)
     below.set_title(style.wrapped(f"(b) {steps_title}", style.DOUBLE))
@@ -221,10 +225,8 @@ def _step(ax: Axes, y: float, scan: int, tried: Sequence[Tried]) -> None:
     candidates = {one.model: one for one in tried}
     for number in range(1, scan + 1):
         inside = number in candidates or number == scan
-        ax.plot(
-            number, y, marker="o", ms=13, mec=style.BLACK if inside else "0.7", zorder=3,
-            mew=1.6 if number == scan else 0.8, mfc="0.85" if number == scan else "w",
-        )  # fmt: skip
+        look = NEW if number == scan else CANDIDATE if inside else OUTSIDE
+        ax.plot(number, y, ms=13, zorder=3, **look)
         colour = style.BLACK if inside else "0.6"
         ax.text(number, y, str(number), ha="center", va="center_baseline", color=colour, zorder=4)
     for one in tried:
@@ -267,12 +269,13 @@ def _models(ax: Axes, steps: Steps) -> None:
 def environment(room: Array, view: View, end: Array, path: Array, title: str) -> Figure:
     """The paper's Fig. 3: the place from above in cm, the drive, and what the sensor sees from
     its start. ``view.points`` are in the order of sensing, ``path`` (N, 2) m."""
-    figure = Figure(figsize=(style.DOUBLE, 3.4))
+    figure = Figure(figsize=(style.SINGLE, 2.6))
     ax = figure.add_subplot()
     _room(ax, room)
     seen = CM * np.vstack([view.pose[:2, 3], view.ends])
     ax.add_patch(Polygon(seen, fc=style.SKY, alpha=0.3, ec="none", zorder=1))
-    ax.plot(*(CM * view.points.T), ls="", marker=".", ms=1.8, color=style.BLUE, zorder=3)
+    dots: dict[str, Any] = {"ls": "", "marker": "o", "mew": 0, "color": style.BLUE}
+    ax.plot(*(CM * view.points.T), ms=0.9, zorder=3, **dots)
     ax.plot(*(CM * path.T), color=style.BLACK, lw=1.0, ls="--", zorder=4)
     for pose in (view.pose, end):
         _robot(ax, pose, style.BLACK)
@@ -280,114 +283,54 @@ def environment(room: Array, view: View, end: Array, path: Array, title: str) ->
     handles = [
         Patch(fc=WALL, ec=style.BLACK, lw=0.8, label="walls"),
         Patch(fc=style.SKY, alpha=0.3, label="seen from the start"),
-        Line2D([], [], ls="", marker=".", color=style.BLUE, label="points of that scan"),
+        Line2D([], [], ms=2.0, label="points of that scan", **dots),
         Line2D([], [], color=style.BLACK, lw=1.0, ls="--", label="path, start left"),
     ]
-    ax.set_title(style.wrapped(title, style.DOUBLE))
-    style.legend_below(figure, handles, columns=4)
+    ax.yaxis.set_major_locator(MultipleLocator(100))
+    figure.suptitle(style.wrapped(title, style.SINGLE))
+    style.legend_below(figure, handles, columns=2)
     style.fit_height(figure, [ax], tallest=5.0)
     return figure
 
 
 def _sizes(ax: Axes, room: Array, path: Array) -> None:
     """Dimensions as arrows: the pieces of both walls, the recesses' depths, the width, the path."""
-    arrow = {"arrowstyle": "<->", "lw": 0.6, "shrinkA": 0, "shrinkB": 0}
-    words: dict[str, Any] = {"fontsize": style.FONT - 2, "ha": "center", "zorder": 5}
     heights = np.unique(room[:, 1])
     wall = {True: float(heights[heights > 0].min()), False: float(heights[heights < 0].max())}
     for top, y in wall.items():
         side = room[(room[:, 1] > 0) == top]
         for x0, x1 in pairwise(np.unique(side[:, 0])):
-            level = 0.6 * y
-            ax.annotate("", (x0, level), (x1, level), arrowprops=arrow, zorder=5)
-            ax.text(0.5 * (x0 + x1), level, f"{x1 - x0:.0f}", va="bottom", **words)
-            inside = side[(side[:, 0] == x0) & (np.abs(side[:, 1]) > abs(y))]
-            back = side[(side[:, 0] == x1) & (np.abs(side[:, 1]) > abs(y))]
-            if len(inside) and len(back) and x1 - x0 < 80:
-                depth = abs(float(inside[0, 1])) - abs(y)
-                place = 0.5 * (y + float(inside[0, 1]))
-                ax.text(0.5 * (x0 + x1), place, f"{depth:.0f} deep", va="center", **words)
+            _size(ax, (x0, 0.62 * y), (x1, 0.62 * y), x1 - x0)
+            deep = [corner for corner in side if abs(corner[1]) > abs(y) and corner[0] in (x0, x1)]
+            if len(deep) == 2 and x1 - x0 < 80:
+                back = float(deep[0][1])
+                _size(ax, (0.5 * (x0 + x1), y), (0.5 * (x0 + x1), back), abs(back - y))
     left = float(room[:, 0].min()) + 18
-    ax.annotate("", (left, wall[False]), (left, wall[True]), arrowprops=arrow, zorder=5)
-    ax.text(left + 10, 20, f"{wall[True] - wall[False]:.0f}", va="center", **words)
+    _size(ax, (left, wall[False]), (left, wall[True]), wall[True] - wall[False])
     (x0, y0), (x1, _) = path[0], path[-1]
-    ax.annotate("", (x0, y0 - 18), (x1, y0 - 18), arrowprops=arrow, zorder=5)
-    ax.text(0.5 * (x0 + x1), y0 - 21, f"{x1 - x0:.0f}", va="top", **words)
+    _size(ax, (x0, y0 - 42), (x1, y0 - 42), x1 - x0)
+
+
+def _size(ax: Axes, start: tuple[float, float], end: tuple[float, float], size: float) -> None:
+    """An arrow between two points, along an axis, with its length (cm) beside it."""
+    look = {"arrowstyle": "<->", "lw": 0.5, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 5}
+    ax.annotate("", start, end, arrowprops=look, zorder=5)
+    (x0, y0), (x1, y1) = start, end
+    level = y0 == y1
+    ax.text(
+        0.5 * (x0 + x1) + (0 if level else 5), 0.5 * (y0 + y1), f"{size:.0f}", zorder=5,
+        ha="center" if level else "left", va="bottom" if level else "center",
+        fontsize=style.FONT - 2,
+    )  # fmt: skip
 
 
 def map_figure(scene: Scene, limits: maps.Limits, title: str) -> Figure:
     """The paper's Fig. 4(a) or (b): a map with estimated and true trajectory. ``limits`` are for
     both, so that they can be laid beside each other."""
-    figure = Figure(figsize=(style.DOUBLE, style.DOUBLE))
+    figure = Figure(figsize=(style.SINGLE, style.SINGLE))
     ax = figure.add_subplot()
     handles = maps.panel(ax, scene, limits, DOT)
-    ax.set_title(style.wrapped(title, style.DOUBLE))
-    style.legend_below(figure, handles, columns=4)
+    figure.suptitle(style.wrapped(title, style.SINGLE))
+    style.legend_below(figure, handles, columns=2)
     style.fit_height(figure, [ax], tallest=4.0)
     return figure
-
-
-def ratios(rows: Sequence[tuple[str, Sequence[Ratio]]], title: str, theirs: float) -> Figure:
-    """Ratios over the number of scans (x) and the correspondence distance (y), a panel a noise,
-    a row of panels a comparison; ``theirs`` is marked on the scale."""
-    cells = [cell for _, found in rows for cell in found]
-    noises = sorted({cell.noise_mm for cell in cells})
-    finite = [cell.ratio for cell in cells if math.isfinite(cell.ratio)]
-    norm = LogNorm(min(1.0, *finite), max(theirs * 1.2, *finite))
-    figure = Figure(figsize=(style.DOUBLE, 0.9 + 1.75 * len(rows)))
-    axes = figure.subplots(len(rows), len(noises), sharex=True, sharey=True, squeeze=False)
-    for line, (name, found) in zip(axes, rows, strict=True):
-        for ax, noise in zip(line, noises, strict=True):
-            image = _ratio_panel(ax, [cell for cell in found if cell.noise_mm == noise], norm)
-        line[0].set_ylabel(f"{name}\ncorrespondence\ndistance (m)")
-    for ax, noise in zip(axes[0], noises, strict=True):
-        ax.set_title("no noise" if noise == 0 else f"range noise {noise:g} mm")
-    for ax in axes[-1]:
-        ax.set_xlabel("number of scans")
-    bar = figure.colorbar(image, ax=list(axes.ravel()), fraction=0.03, pad=0.02, aspect=30)
-    bar.set_label("standard ICP's error over this one's")
-    ends = float(norm.vmin or 0), float(norm.vmax or 0)
-    ticks = [t for t in (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500) if ends[0] <= t <= ends[1]]
-    bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
-    bar.minorticks_off()
-    bar.ax.axhline(theirs, color="w", lw=2.6)
-    bar.ax.axhline(theirs, color=style.BLACK, lw=1.2)
-    handles: list[Any] = [
-        Line2D([], [], color=style.BLACK, lw=1.2, label=f"on the scale: the paper's {theirs:.0f}"),
-        Line2D([], [], ls="", label="(in brackets): larger error than the standard ICP's"),
-    ]
-    figure.suptitle(style.wrapped(title, style.DOUBLE))
-    style.legend_below(figure, handles, columns=2)
-    return figure
-
-
-def _ratio_panel(ax: Axes, cells: Sequence[Ratio], norm: LogNorm) -> Any:
-    x = sorted({cell.scans for cell in cells})
-    y = sorted({cell.distance_m for cell in cells})
-    values = np.full((len(y), len(x)), np.nan)
-    for cell in cells:
-        values[y.index(cell.distance_m), x.index(cell.scans)] = cell.ratio
-    ax.add_patch(Rectangle((-0.5, -0.5), len(x), len(y), **heatmaps.FAILED, zorder=0))
-    image = ax.imshow(
-        np.ma.masked_invalid(values), norm=norm, cmap=heatmaps.COLOURS, aspect="auto",
-        origin="lower", interpolation="nearest", zorder=1,
-    )  # fmt: skip
-    dark = image.to_rgba(np.nan_to_num(values, nan=1.0))[..., :3] @ [0.299, 0.587, 0.114] < 0.5
-    for row, column in zip(*np.nonzero(np.isfinite(values)), strict=True):
-        value = float(values[row, column])
-        ax.text(
-            column, row, f"({value:.2g})" if value < 0.995 else f"{float(f'{value:.2g}'):g}",
-            ha="center", va="center", fontsize=6.5, color="w" if dark[row, column] else "k",
-            zorder=2,
-        )  # fmt: skip
-    ax.set_xticks(range(len(x)), [str(value) for value in x])
-    ax.set_yticks(range(len(y)), [f"{value:g}" for value in y])
-    ax.tick_params(length=2)
-    return image
-
-
-def error_words(mm: float, along: float, cross: float, heading: float) -> str:
-    """ "final error 535 mm: along -535 mm, cross -7 mm, heading 0.7 deg"."""
-    parts = [labels.quantity(value, "mm") for value in (mm, along, cross)]
-    turn = labels.quantity(heading, "deg")
-    return f"final error {parts[0]}: along {parts[1]}, cross {parts[2]}, heading {turn}"
