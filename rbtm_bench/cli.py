@@ -22,6 +22,8 @@ commands
   show      what is behind a row: settings, command, data:  rbtm-bench show results/compare/NAME
   diff      what differs between two runs:  rbtm-bench diff RUN RUN
   plot      runs as figures:     rbtm-bench plot results/compare
+  similarity scores of all pairs:  rbtm-bench similarity dataset.environment=l_turn --matrix
+  calibrate   error against similarity, the threshold to use:  rbtm-bench calibrate --success 0.95
   list      every plug-in, its parameters, and whether its library is there
   doctor    check this installation and say what to do
 
@@ -93,6 +95,14 @@ def dispatch(words: list[str]) -> int:
         from rbtm_bench import cli_inspect
 
         return {"show": cli_inspect.show, "diff": cli_inspect.diff}[command](words)
+    if command == "similarity":
+        from rbtm_bench import cli_similarity
+
+        return cli_similarity.similarity(words)
+    if command == "calibrate":
+        from rbtm_bench import cli_calibrate
+
+        return cli_calibrate.calibrate(words)
     if command in ("list", "doctor"):
         from rbtm_bench import cli_about
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from rbtm_bench import results
 from rbtm_bench.errors import ConfigError
-from rbtm_bench.results import Run
+from rbtm_bench.results import MethodRuns, Run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -25,11 +25,17 @@ examples
   rbtm-bench table results/compare --against selector=previous  is it better than the standard
   rbtm-bench table results/compare --against "keyframe distance=0.3" --metric ape_rmse_m
   rbtm-bench table results/bare results/paper --against previous --pool
+  rbtm-bench table results/aces results/intel results/csail --held-out
+  rbtm-bench table results/sweep --choose-on seed=100,101,102 --against previous
 
 Intervals are bootstrapped over independent data sets: the seeds of a simulated environment; one
 log is one data set, and its relations are resampled by the place and time they belong to.
 --against compares on the same seeds (or relations), within a backend for a selector and within a
 selector for a backend; better and worse stand only where six data sets or more agree enough.
+--held-out and --choose-on show settings on other data than those that chose them: for every
+data set, backend and selector the setting with the least mean logarithm of the main error on the
+choosing data (a ratio counts the same on every data set); one with a failed run there only where
+all have one; of equal ones the first. With --intervals or --against: of these rows.
 docs/statistics.md says how, docs/metrics.md defines every metric."""
 
 
@@ -44,10 +50,17 @@ def table(words: list[str]) -> int:
         raise ConfigError("--pool: goes with --intervals or --against")
     if options.mean and not options.intervals:
         raise ConfigError("--mean: goes with --intervals")
+    choice = "--held-out" if options.held_out else "--choose-on" if options.choose_on else ""
+    if choice and (options.best or options.over_seeds):
+        raise ConfigError(f"{choice}: goes with --intervals or --against, or alone")
     runs = results.find_runs(options.paths)
     _warn(runs)
+    chosen = _choose(runs, options) if choice else None
     if options.intervals or options.against:
-        _print_statistics(runs, options)
+        _print_statistics(runs, options, chosen)
+        return 0
+    if chosen is not None:
+        _print_chosen(chosen, options.format, options.columns)
         return 0
     if options.best:
         _print_best(tables.best(results.over_seeds(runs)), options.format, options.columns)
@@ -95,6 +108,19 @@ def _table_parser() -> argparse.ArgumentParser:
         metavar="METHOD",
         help="a row a method: paired differences from this one, with intervals and tests",
     )
+    choice = parser.add_mutually_exclusive_group()
+    choice.add_argument(
+        "--held-out",
+        action="store_true",
+        help="for every data set, backend and selector the setting that did best on the other "
+        "data sets",
+    )
+    choice.add_argument(
+        "--choose-on",
+        metavar="KEY=VALUES",
+        help="the same with settings chosen on the runs with these values (seed=100,101,102, "
+        "dataset.environment=paper), and the others shown",
+    )
     parser.add_argument(
         "--metric", metavar="A,B", help="with --intervals, --against: these, not the main error"
     )
@@ -108,19 +134,51 @@ def _table_parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _print_statistics(runs: Sequence[Run], options: argparse.Namespace) -> None:
+def _choose(runs: Sequence[Run], options: argparse.Namespace) -> list[MethodRuns]:
+    """The rows that --held-out or --choose-on asks for."""
+    from rbtm_bench.tables import held_out
+
+    if options.held_out:
+        return held_out.leave_one_out(runs)
+    return held_out.choose_on(runs, *held_out.parse(options.choose_on))
+
+
+def _print_chosen(chosen: Sequence[MethodRuns], fmt: str, columns: str | None) -> None:
+    """The table of settings chosen elsewhere: whole as CSV and JSON, else the columns that
+    matter."""
+    from rbtm_bench import tables
+    from rbtm_bench.tables import held_out
+
+    rows, notes = held_out.table(chosen), held_out.notes(chosen)
+    names, main = held_out.columns(rows)
+    if columns:
+        rows = rows[tables.existing_columns(rows, columns)]
+    elif fmt == "text":
+        rows, same = tables.screen(rows, names, (*tables.ALWAYS, *main))
+        notes = [f"the same in every row: {same}", *notes] if same else notes
+    elif fmt not in ("csv", "json"):
+        rows = rows[names]
+    print(tables.render(rows, fmt))
+    _say(notes, fmt)
+
+
+def _print_statistics(
+    runs: Sequence[Run], options: argparse.Namespace, chosen: Sequence[MethodRuns] | None
+) -> None:
     """A table of intervals or differences: numbers as CSV and JSON, else folded to be read."""
     from rbtm_bench import tables
-    from rbtm_bench.tables import paired, with_intervals
+    from rbtm_bench.tables import held_out, paired, with_intervals
 
     metrics = with_intervals.named_metrics(runs, options.metric)
+    found = held_out.pooled(chosen) if chosen and options.pool else chosen
     if options.against:
-        rows = paired.against(runs, options.against, metrics, options.pool)
+        rows = paired.against(runs, options.against, metrics, options.pool, found)
         notes = paired.notes(rows)
     else:
         statistic: Statistic = "mean" if options.mean else "median"
-        rows = with_intervals.intervals(runs, metrics, statistic, options.pool)
+        rows = with_intervals.intervals(runs, metrics, statistic, options.pool, found)
         notes = with_intervals.notes(rows, statistic)
+    notes += held_out.notes(chosen) if chosen else []
     if options.format not in ("csv", "json"):
         rows = with_intervals.folded(rows)
     if options.columns:

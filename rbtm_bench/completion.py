@@ -7,8 +7,20 @@ import os
 import re
 import sys
 
-COMMANDS = ("run", "compare", "sweep", "table", "show", "diff", "plot", "list", "doctor")
-WITH_OVERRIDES = ("run", "compare", "sweep")
+COMMANDS = (
+    "run",
+    "compare",
+    "sweep",
+    "table",
+    "show",
+    "diff",
+    "plot",
+    "similarity",
+    "calibrate",
+    "list",
+    "doctor",
+)
+WITH_OVERRIDES = ("run", "compare", "sweep", "similarity", "calibrate")
 
 
 def complete(words: list[str]) -> int:

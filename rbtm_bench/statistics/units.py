@@ -174,11 +174,12 @@ def methods(runs: Sequence[Run], pool: bool) -> list[MethodRuns]:
     name = f"{', '.join(kinds)} ({len(names)} pooled)"
     together: dict[str, list[MethodRuns]] = {}
     for method in found:
-        together.setdefault(_key_without_data(method.runs[0]), []).append(method)
+        together.setdefault(key_without_data(method.runs[0]), []).append(method)
     return [_pooled(group, name) for group in together.values()]
 
 
-def _key_without_data(run: Run) -> str:
+def key_without_data(run: Run) -> str:
+    """What two runs share that differ only in their data and their seed."""
     choices = {k: v for k, v in run.record["choices"].items() if k != "dataset"}
     config = {k: v for k, v in run.config.items() if k != "dataset"}
     return results.method_key(replace(run, record={"choices": choices}, config=config))
@@ -195,11 +196,12 @@ def _pooled(group: list[MethodRuns], name: str) -> MethodRuns:
 
 
 def grouped(found: Sequence[MethodRuns], columns: Sequence[str]) -> list[list[MethodRuns]]:
-    """The methods that agree in these columns; in "selector" with all its settings."""
+    """The methods that agree in these columns; in "selector" with all its settings, unless those
+    were chosen on other data (``tables.held_out``)."""
     together: dict[tuple[Any, ...], list[MethodRuns]] = {}
     for method in found:
         key = [method.row[column] for column in columns]
-        if "selector" in columns:
+        if "selector" in columns and "chosen_on" not in method.row:
             key.append(json.dumps(_selector(method.runs[0])))
         together.setdefault(tuple(key), []).append(method)
     return list(together.values())

@@ -50,6 +50,9 @@ SHORT = (
 )
 """The columns of the table at the end of ``compare``."""
 
+NO_CONTROL = ("rbtm", "rbtm_verified", "oracle")
+"""Selectors that rbtm is not held against: itself, and what sees the truth."""
+
 TOLD = 4
 """Names or sentences of a kind at most, so that a screen holds all."""
 
@@ -199,6 +202,14 @@ def chances(best: pd.DataFrame) -> list[str]:
     lines = ["best of several was chosen on the very data shown: confirm it on other data or seeds"]
     if best["equal"].max() > 1:
         lines.append("of settings with the same error the one with the smallest window is shown")
+    return lines + equal_chances(best)
+
+
+def equal_chances(best: pd.DataFrame) -> list[str]:
+    """How many settings each method was the best of, in words; nothing if of one each."""
+    if best.empty or best["tried"].max() <= 1:
+        return []
+    lines: list[str] = []
     places: dict[tuple[tuple[str, int], ...], list[str]] = {}
     many = best["data"].nunique() > 1
     for (data, backend), rows in best.groupby(["data", "backend"], sort=False, dropna=False):
@@ -209,7 +220,8 @@ def chances(best: pd.DataFrame) -> list[str]:
         return [*lines, f"every method had {best['tried'].iloc[0]} settings to choose from"]
     for numbers, names in list(places.items())[:TOLD]:
         prefix = f"{_listed(names)}: " if len(places) > 1 else ""
-        lines.append(f"{prefix}{_tries(numbers)}: not an equal chance")
+        unequal = ": not an equal chance" if len({number for _, number in numbers}) > 1 else ""
+        lines.append(f"{prefix}{_tries(numbers)}{unequal}")
     more = len(places) - TOLD
     return [*lines, f"and {more} more such: see the column tried"] if more > 0 else lines
 
@@ -248,7 +260,7 @@ def verdict(table: pd.DataFrame, say_tries: bool = True) -> list[str]:
             continue
         key, unit, name = found
         rows = methods.dropna(subset=[key]).astype({key: float})
-        ours, controls = rows[rows.selector == "rbtm"], rows[rows.selector != "rbtm"]
+        ours, controls = rows[rows.selector == "rbtm"], rows[~rows.selector.isin(NO_CONTROL)]
         best, rival = _winner(ours, key), _winner(controls, key)
         if best is None or rival is None or backend == "none":
             continue

@@ -10,7 +10,7 @@ from rbtm_bench import statistics, tables
 from rbtm_bench.errors import ConfigError
 from rbtm_bench.results import METHOD, MethodRuns, Run
 from rbtm_bench.statistics.units import CLUSTERS, Units, grouped, methods
-from rbtm_bench.tables.with_intervals import keys_of, references_of
+from rbtm_bench.tables.with_intervals import choice_of, keys_of, references_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -24,7 +24,11 @@ LESS_IS_BETTER = re.compile(
 
 
 def against(
-    runs: Sequence[Run], reference: str, metrics: Sequence[str] = (), pool: bool = False
+    runs: Sequence[Run],
+    reference: str,
+    metrics: Sequence[str] = (),
+    pool: bool = False,
+    found: Sequence[MethodRuns] | None = None,
 ) -> pd.DataFrame:
     """A row a method and metric: how it differs from the reference on the same data.
 
@@ -32,7 +36,8 @@ def against(
     method ("previous", "selector=keyframe distance=0.3", "backend=none"). What it leaves open is
     the same on both sides. ``p_holm`` is adjusted for all tests of the table; ``holds`` says
     "better" or "worse" (for what is no error, "lower" or "higher") only where it is below 0.05,
-    the interval excludes 0, and no run of the side that would win has failed.
+    the interval excludes 0, and no run of the side that would win has failed. ``found``: these
+    methods instead of all (``tables.held_out``).
 
     Raises ``ConfigError`` for a reference that is no method of these runs, or several, and for a
     metric of which less is not better without the truth beside it.
@@ -45,7 +50,7 @@ def against(
                 f"--metric {key}: no comparison by it, no motion may beat the truth; --intervals "
                 "shows it beside both"
             )
-    found = methods(runs, pool)
+    found = found or methods(runs, pool)
     words = _words(reference, found)
     open_ = [name for name in ("backend", "selector") if name not in words]
     if not any(_is(method, words) for method in found):
@@ -65,8 +70,8 @@ def against(
     for row, p in zip(rows, statistics.holm([row["p"] for row in rows]), strict=True):
         row["p_holm"] = p
         row["holds"] = _holds(row)
-    columns = [*METHOD, "status", "reference", "reference_status", "metric", "error"]
-    columns += ["reference_error", "difference", "difference_low", "difference_high"]
+    columns = [*METHOD, "status", *choice_of(rows[0]), "reference", "reference_status", "metric"]
+    columns += ["error", "reference_error", "difference", "difference_low", "difference_high"]
     columns += ["difference_n", "unit", "p", "p_holm", "holds"]
     numbers = [c for c in columns if c.startswith(("p", "difference", "error", "reference_error"))]
     kinds = dict.fromkeys(numbers, "float64") | {"difference_n": "int64"}
@@ -137,6 +142,7 @@ def _row(here: Units, there: Units | None, key: str, reference: str | None) -> d
     """The method beside the reference, if there is one, without what depends on other rows."""
     row: dict[str, Any] = {name: here.row[name] for name in (*METHOD, "status")}
     status = there.row["status"] if there else None
+    row |= choice_of(here.row)
     row |= {"reference": reference, "reference_status": status, "metric": key}
     found = here.minus(there, key) if there else None
     row |= {

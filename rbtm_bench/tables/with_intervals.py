@@ -32,6 +32,7 @@ def intervals(
     metrics: Sequence[str] = (),
     statistic: Statistic = "median",
     pool: bool = False,
+    found: Sequence[MethodRuns] | None = None,
 ) -> pd.DataFrame:
     """A row a method: for each metric its value, KEY_low, KEY_high and KEY_n, the units.
 
@@ -39,29 +40,36 @@ def intervals(
     an interval over clusters. ``rank`` is the mean rank by the first metric among the methods
     of a data set and backend, over the data sets that all of them have; there is none by a
     metric whose meaning hangs on its references, which become columns for ``tables.render``.
+    ``found``: these methods instead of all (``tables.held_out``).
     """
     import pandas as pd
 
     rows: list[dict[str, Any]] = []
-    for group in grouped(methods(runs, pool), ("data", "backend")):
+    for group in grouped(found or methods(runs, pool), ("data", "backend")):
         keys = metrics or keys_of(group, beside=True)
         here = [Units(method) for method in group]
         ranked = keys[:1] if keys and not references_of(runs, keys[0]) else []
         ranks = _ranks(here, ranked[0]) if ranked else [None] * len(here)
         for units, rank in zip(here, ranks, strict=True):
             row = {key: units.row[key] for key in (*METHOD, "seeds", "status")}
+            row |= choice_of(units.row)
             for key in keys:
-                found = units.estimate(key, statistic)
-                row[key] = found.value if found else None
-                row[f"{key}_low"] = found.low if found else None
-                row[f"{key}_high"] = found.high if found else None
-                row[f"{key}_n"] = found.n if found else 0
+                over = units.estimate(key, statistic)
+                row[key] = over.value if over else None
+                row[f"{key}_low"] = over.low if over else None
+                row[f"{key}_high"] = over.high if over else None
+                row[f"{key}_n"] = over.n if over else 0
                 row |= {name: units.row.get(name) for name in references_of(runs, key)}
             rows.append({**row, "rank": rank})
     table = pd.DataFrame(rows)
     table = table[[*(c for c in table if c != "rank"), "rank"]]
     counts = {c: int for c in table if str(c).endswith("_n")}
     return table.fillna(dict.fromkeys(counts, 0)).astype({**counts, "rank": float})
+
+
+def choice_of(row: dict[str, Any]) -> dict[str, Any]:
+    """What the row of a setting chosen on other data says of its choice."""
+    return {key: row[key] for key in ("tried", "chosen_on") if key in row}
 
 
 def _ranks(methods: Sequence[Units], key: str) -> list[float | None]:

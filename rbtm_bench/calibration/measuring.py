@@ -1,0 +1,348 @@
+"""Scores and registrations of pairs, in child processes pinned to one core each.
+
+A chunk of pairs is one job; what a pair gives depends on nothing but the pair, so the bits are the
+same whatever the number of processes. A chunk whose process dies is tried again pair by pair: the
+one that kills it is a row with a reason.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import statistics
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rbtm_bench.calibration import guesses
+from rbtm_bench.calibration.consistency import contradiction
+from rbtm_bench.calibration.sampling import CONSISTENCY_ERROR, Sample
+from rbtm_bench.errors import BackendError, ConfigError, RunError
+from rbtm_bench.geometry import inverse
+from rbtm_bench.types import Array, RegistrationResult, Scan
+from rbtm_bench.worker import ChildError, Supervisor
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from rbtm_bench.backends.base import Backend, Prepared
+    from rbtm_bench.similarity.base import Descriptor, Similarity
+
+Node = dict[str, Any]
+Row = dict[str, Any]
+
+CHUNK = 25
+"""Pairs a job."""
+SCANS_KEPT = 400
+"""Scans, prepared scans or descriptors that a process keeps of one data set, at most."""
+MEMORY_BYTES = 200e6
+"""Bytes of scans that it keeps, at most."""
+COST_WINDOW, COST_SCANS = 20, 10
+"""Cost is timed over windows of so many scans, for so many scans."""
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A pair to register: ``truth`` None for the stand-in, which takes ``seed`` for its guesses."""
+
+    number: int
+    target: int
+    source: int
+    guess: Array
+    truth: Array | None
+    middle: int = -1
+    over_middle: Array | None = None
+    seed: int = 0
+
+
+class _Kept:
+    """What a process keeps of the data set and the plug-in that it worked with last."""
+
+    def __init__(self) -> None:
+        self.key = ""
+        self.dataset: Any = None
+        self.plugin: Any = None
+        self.items: dict[int, Any] = {}
+        self.bytes = 0.0
+
+    def open(self, data: Node, plugin: Node) -> None:
+        """Build what is not there yet."""
+        from rbtm_bench import experiment
+
+        data_key = json.dumps(data, sort_keys=True, default=str)
+        key = data_key + json.dumps(plugin, sort_keys=True, default=str)
+        if key == self.key:
+            return
+        if not self.key.startswith(data_key):
+            self.dataset = experiment.build(data)
+        self.plugin, self.items, self.bytes, self.key = experiment.build(plugin), {}, 0.0, key
+
+    def item(self, scan: int, make: Callable[[Scan], Any]) -> Any:
+        """What ``make`` makes of a scan, made once as long as there is room."""
+        if scan not in self.items:
+            read = self.dataset[scan]
+            self.items[scan] = make(read)
+            self.bytes += 8.0 * read.points.nbytes
+            while len(self.items) > SCANS_KEPT or (
+                self.bytes > MEMORY_BYTES and len(self.items) > 8
+            ):
+                oldest = next(iter(self.items))
+                del self.items[oldest]
+                self.bytes *= 1 - 1 / (len(self.items) + 1)
+        return self.items[scan]
+
+
+_kept = _Kept()
+
+
+def register_chunk(data: Node, backend: Node, tasks: Sequence[Task]) -> list[Row]:
+    """The outcome of every task: error_m, error_deg (NaN where it failed, with a reason), and what
+    the registration said of itself."""
+    _kept.open(data, backend)
+    return [_registered(task) for task in tasks]
+
+
+def _registered(task: Task) -> Row:
+    from rbtm_bench.pairs import errors_of
+
+    plugin: Backend = _kept.plugin
+
+    def prepared(scan: int) -> Prepared:
+        found: Prepared | BackendError = _kept.item(scan, lambda s: _prepare(plugin, s))
+        if isinstance(found, BackendError):
+            raise BackendError(str(found))
+        return found
+
+    def register(target: int, source: int, guess: Array) -> RegistrationResult:
+        return plugin.register(prepared(source), prepared(target), guess)
+
+    row: Row = {"number": task.number, "error_m": math.nan, "error_deg": math.nan}
+    row |= {"seconds": math.nan, "converged": None, "fitness": math.nan, "inlier_rmse_m": math.nan}
+    try:
+        if task.truth is None:
+            starts = _disturbed_starts(task, bool(_kept.dataset.planar))
+            said = contradiction(task.target, task.source, task.middle, starts, register)
+            result, metres, degrees = said
+        else:
+            result = register(task.target, task.source, task.guess)
+            metres, degrees = errors_of(result.T_target_source, task.truth)
+    except BackendError as error:
+        return row | {"reason": " ".join(str(error).split())}
+    return row | {
+        "error_m": metres,
+        "error_deg": degrees,
+        "seconds": result.seconds,
+        "converged": result.converged,
+        "fitness": result.fitness,
+        "inlier_rmse_m": result.inlier_rmse,
+        "reason": "",
+    }
+
+
+def _prepare(backend: Backend, scan: Scan) -> Prepared | BackendError:
+    try:
+        return backend.prepare(scan)
+    except BackendError as error:
+        return error.with_traceback(None)
+
+
+def _disturbed_starts(task: Task, planar: bool) -> dict[tuple[int, int], Array]:
+    """The guess of every registration of the stand-in, each with an error of its own.
+
+    The guess of the pair has one already.
+    """
+    random = np.random.default_rng([task.seed, task.number])
+
+    def wrong(T: Array) -> Array:
+        return guesses.disturbed(T[None], *CONSISTENCY_ERROR, planar, random)[0]
+
+    starts = {
+        (task.target, task.source): task.guess,
+        (task.source, task.target): wrong(inverse(task.guess)),
+    }
+    if task.middle >= 0:
+        assert task.over_middle is not None
+        starts[task.target, task.middle] = wrong(task.over_middle[0])
+        starts[task.middle, task.source] = wrong(task.over_middle[1])
+    return starts
+
+
+def score_chunk(
+    data: Node, similarity: Node, sources: Sequence[tuple[int, Sequence[int], Array]]
+) -> list[Array]:
+    """The scores (W,) of every window: (source, targets (W), T_target_source (W, 4, 4))."""
+    _kept.open(data, similarity)
+    plugin: Similarity = _kept.plugin
+    plugin.check(_kept.dataset)
+    found = []
+    for source, targets, motions in sources:
+        window = np.stack([_kept.item(i, plugin.describe) for i in targets])
+        descriptor: Descriptor = _kept.item(source, plugin.describe)
+        scores = plugin.scores_under(window, descriptor, motions)
+        found.append(np.asarray(scores, np.float64))
+    return found
+
+
+def cost_of(data: Node, similarity: Node) -> tuple[float, float]:
+    """Seconds that a descriptor takes, and the score of a pair, in windows of 20: medians of 10
+    scans in the middle of the data set, after one to warm up."""
+    _kept.open(data, similarity)
+    dataset, plugin = _kept.dataset, _kept.plugin
+    scans = len(dataset)
+    count = min(COST_WINDOW + COST_SCANS + 1, scans)
+    first = (scans - count) // 2
+    window = min(COST_WINDOW, count - 1)
+    read = [dataset[i] for i in range(first, first + count)]
+    describe, descriptors = [], []
+    for scan in read:
+        started = time.perf_counter()
+        descriptors.append(plugin.describe(scan))
+        describe.append(time.perf_counter() - started)
+    score = []
+    motions = np.tile(np.eye(4), (window, 1, 1))
+    for j in range(window, count):
+        past = np.stack(descriptors[j - window : j])
+        if dataset.has_odometry:
+            motions = np.stack(
+                [inverse(s.odometry) @ read[j].odometry for s in read[j - window : j]]
+            )
+        started = time.perf_counter()
+        plugin.scores_under(past, descriptors[j], motions)
+        score.append((time.perf_counter() - started) / window)
+    return statistics.median(describe[1:]), statistics.median(score[1:] or score)
+
+
+Call = tuple[Callable[..., Any], tuple[Any, ...]]
+
+
+def in_parallel(
+    crew: Sequence[Supervisor], calls: Sequence[Call], pin: bool, done: Callable[[int], None]
+) -> list[Any]:
+    """What the calls return, in their order; a dead child's call gives its ``ChildError``.
+
+    ``done`` is told the number of each call that is over. Every other error is raised: all
+    children are then killed.
+    """
+    import queue
+
+    idle: queue.LifoQueue[Supervisor] = queue.LifoQueue()
+    for supervisor in reversed(crew):
+        idle.put(supervisor)
+
+    def work(number: int) -> tuple[int, Any]:
+        function, args = calls[number]
+        supervisor = idle.get()
+        try:
+            return number, supervisor.call(function, *args, pin=pin)
+        except ChildError as error:
+            return number, error
+        finally:
+            idle.put(supervisor)
+
+    found: list[Any] = [None] * len(calls)
+    with ThreadPoolExecutor(len(crew)) as threads:
+        try:
+            for future in as_completed([threads.submit(work, n) for n in range(len(calls))]):
+                number, answer = future.result()
+                found[number] = answer
+                done(number)
+        except BaseException:
+            threads.shutdown(wait=False, cancel_futures=True)
+            for supervisor in crew:
+                supervisor.kill()
+            raise
+    return found
+
+
+def register(
+    crew: Sequence[Supervisor],
+    data: Node,
+    backend: Node,
+    sample: Sample,
+    seed: int,
+    pin: bool,
+    done: Callable[[int], None],
+) -> pd.DataFrame:
+    """The outcome of every pair of the sample (K rows, in its order); ``done`` is told pairs."""
+    import pandas as pd
+
+    rows = sample.rows
+    tasks = [
+        Task(
+            k,
+            target,
+            source,
+            sample.guess[k],
+            None if sample.truth is None else sample.truth[k],
+            int(sample.middle[k]),
+            sample.over_middle[k],
+            seed,
+        )
+        for k, (target, source) in enumerate(
+            zip(rows["target"].tolist(), rows["source"].tolist(), strict=True)
+        )
+    ]
+    tasks.sort(key=lambda task: (task.source, task.target))  # neighbours share prepared scans
+    chunks = [tasks[i : i + CHUNK] for i in range(0, len(tasks), CHUNK)]
+    calls: list[Call] = [(register_chunk, (data, backend, chunk)) for chunk in chunks]
+    answers = in_parallel(crew, calls, pin, lambda n: done(len(chunks[n])))
+    found: list[Row] = []
+    for chunk, answer in zip(chunks, answers, strict=True):
+        if isinstance(answer, ChildError):
+            single: list[Call] = [(register_chunk, (data, backend, [task])) for task in chunk]
+            again = in_parallel(crew, single, pin, lambda n: None)
+            answer = [_row_of(a, task) for a, task in zip(again, chunk, strict=True)]
+        found += answer
+    return pd.DataFrame(found).sort_values("number").drop(columns="number").reset_index(drop=True)
+
+
+def _row_of(answer: Any, task: Task) -> Row:
+    """A pair's row; of one that killed its process a failed one."""
+    if not isinstance(answer, ChildError):
+        row: Row = answer[0]
+        return row
+    nothing = dict.fromkeys(
+        ("error_m", "error_deg", "seconds", "fitness", "inlier_rmse_m"), math.nan
+    )
+    return {"number": task.number, "converged": None, "reason": str(answer), **nothing}
+
+
+def score(
+    crew: Sequence[Supervisor],
+    data: Node,
+    similarity: Node,
+    target: Array,
+    source: Array,
+    motions: Array,
+    pin: bool,
+    done: Callable[[int], None],
+) -> Array:
+    """The scores (K,) of pairs, NaN where undefined: of one source all targets in one window."""
+    found = np.full(len(target), np.nan)
+    order = np.lexsort((target, source))
+    places = [p for p in np.split(order, np.flatnonzero(np.diff(source[order])) + 1) if len(p)]
+    size = max(1, 8 * CHUNK // max(1, len(order) // max(1, len(places))))
+    chunks = [places[i : i + size] for i in range(0, len(places), size)]
+    calls: list[Call] = []
+    for chunk in chunks:
+        windows = [(int(source[p[0]]), [int(i) for i in target[p]], motions[p]) for p in chunk]
+        calls.append((score_chunk, (data, similarity, windows)))
+    answers = in_parallel(crew, calls, pin, lambda n: done(sum(map(len, chunks[n]))))
+    for chunk, answer in zip(chunks, answers, strict=True):
+        if isinstance(answer, ChildError):
+            raise RunError(f"a similarity killed its process: {answer}")
+        for places_of_window, scores in zip(chunk, answer, strict=True):
+            found[places_of_window] = scores
+    return found
+
+
+def check_similarity(data: Node, similarity: Node) -> None:
+    """Raise ``ConfigError`` if the similarity cannot read the data set."""
+    _kept.open(data, similarity)
+    if len(_kept.dataset) < 2:
+        raise ConfigError("a calibration needs at least two scans")
+    _kept.plugin.check(_kept.dataset)

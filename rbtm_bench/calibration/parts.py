@@ -1,0 +1,64 @@
+"""The cut between calibration and report, and what is resampled together."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rbtm_bench import statistics
+from rbtm_bench.calibration.plan import Plan
+from rbtm_bench.types import Array
+
+Index = NDArray[np.intp]
+
+CALIBRATION, REPORTED = "calibration", "reported"
+PARTS = (CALIBRATION, REPORTED)
+
+BLOCK_S = 30.0
+"""s; pairs whose middles fall into one block of this length are resampled together."""
+BLOCKS = 8
+"""A part of at least so many blocks: of a shorter log they are shorter."""
+
+
+def parts_of(stamps: Array, known: NDArray[np.bool_], plan: Plan) -> Index:
+    """The part (N,) of every scan: 0 calibration, 1 reported, -1 without a known pose.
+
+    "time": the first half of the known scans in time, and the second. "blocks": alternately, a
+    block of ``block_s`` after the other.
+    """
+    part = np.full(len(stamps), -1, np.intp)
+    inside = np.flatnonzero(known)
+    if plan.split == "blocks":
+        since = stamps[inside] - stamps[inside].min(initial=np.inf)
+        part[inside] = np.floor(since / plan.block_s).astype(np.intp) % 2
+        return part
+    order = inside[np.argsort(stamps[inside], kind="stable")]
+    part[order] = np.arange(len(order)) >= (len(order) + 1) // 2
+    return part
+
+
+def evenly(count: int, at_most: int) -> Index:
+    """At most so many of ``count`` positions, spread evenly."""
+    if count <= at_most:
+        return np.arange(count)
+    return np.linspace(0, count - 1, at_most).round().astype(np.intp)
+
+
+def clusters_of(
+    stamps: Array, target: Index, source: Index, revisit: NDArray[np.bool_]
+) -> tuple[Index, float]:
+    """What is resampled together (K,), and the length of its blocks in s.
+
+    Pairs across gaps: blocks of 30 s by the pair's middle, shorter where a part would have less
+    than 8. Revisits: place and time, as the long relations of ``rbtm_bench.statistics``.
+    """
+    start, end = stamps[target], stamps[source]
+    span = float(np.ptp(stamps)) / 2
+    block_s = min(BLOCK_S, span / BLOCKS) if span > 0 else BLOCK_S
+    labels = np.zeros(len(target), np.intp)
+    labels[~revisit] = np.floor((0.5 * (start + end)[~revisit] - stamps.min()) / block_s)
+    if revisit.any():
+        nothing = np.zeros(int(revisit.sum()), bool)
+        again = statistics.relation_clusters(start[revisit], end[revisit], nothing)
+        labels[revisit] = again + labels.max(initial=0) + 1
+    return labels, block_s

@@ -1,0 +1,70 @@
+"""What is asked of a calibration: which pairs, from which guesses, and what counts as success."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from rbtm_bench.calibration.guesses import GUESSES, GuessName
+from rbtm_bench.errors import ConfigError
+
+TruthName = Literal["auto", "poses", "relations", "none"]
+TRUTHS: tuple[TruthName, ...] = ("auto", "poses", "relations", "none")
+SplitName = Literal["time", "blocks"]
+SPLITS: tuple[SplitName, ...] = ("time", "blocks")
+
+GAPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
+"""Scans from the model to the new scan; of relations, upper ends of the groups that their gaps
+fall into."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The options of a calibration, checked.
+
+    ``gaps`` in scans (None: ``GAPS`` as far as they go); ``pairs`` a gap, of both parts together;
+    ``revisits`` in all, of both parts. ``within``, ``disturb`` and ``revisit_error`` are (m, deg).
+    ``success`` is the wanted rate. ``block_s`` (s): length of the blocks of ``split`` "blocks".
+    ``chain``: relations that may be joined to one motion. Raises ``ConfigError`` naming the option.
+    """
+
+    gaps: tuple[int, ...] | None = None
+    pairs: int = 200
+    revisits: int = 200
+    truth: TruthName = "auto"
+    chain: int = 4
+    guess: GuessName = "auto"
+    disturb: tuple[float, float] | None = None
+    revisit_error: tuple[float, float] = (0.2, 5.0)
+    within: tuple[float, float] = (0.1, 2.0)
+    success: float = 0.95
+    split: SplitName = "time"
+    block_s: float = 60.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.gaps is not None and (not self.gaps or min(self.gaps) < 1):
+            raise ConfigError("--gaps: expected whole numbers of 1 or more, such as 1,2,5,10")
+        for name, least in (("pairs", 2), ("revisits", 0), ("chain", 1), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise ConfigError(f"--{name} {getattr(self, name)}: expected at least {least}")
+        for name in ("within", "disturb", "revisit_error"):
+            sizes = getattr(self, name)
+            if sizes is not None and not all(0 <= size < 1e9 for size in sizes):
+                option = name.replace("_", "-")
+                raise ConfigError(f"--{option}: expected two numbers of 0 or more, m and deg")
+        if min(self.within) <= 0:
+            raise ConfigError("--within: expected two numbers above 0, m and deg")
+        if not 0 < self.success < 1:
+            raise ConfigError(f"--success {self.success:g}: expected a share between 0 and 1")
+        if not self.block_s > 0:
+            raise ConfigError(f"--block {self.block_s:g}: expected seconds above 0")
+        for name, known in (("truth", TRUTHS), ("guess", GUESSES), ("split", SPLITS)):
+            if getattr(self, name) not in known:
+                options = ", ".join(known)
+                raise ConfigError(f"--{name} {getattr(self, name)}: expected one of {options}")
+
+    @property
+    def model_gaps(self) -> tuple[int, ...]:
+        """The gaps, or ends of groups, from small to large."""
+        return tuple(sorted(set(GAPS if self.gaps is None else self.gaps)))

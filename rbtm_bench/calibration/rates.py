@@ -1,0 +1,102 @@
+"""Success rates and error quantiles over similarity, with bands that know of neighbours."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rbtm_bench.statistics import LEVEL
+from rbtm_bench.types import Array
+
+QUANTILES = (0.5, 0.75, 0.9, 0.95)
+"""Of errors; a failed registration counts as an infinite error."""
+BINS = 8
+"""Bins of similarity, each with equally many pairs."""
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share of ``n`` pairs with its interval; ``effective`` independent pairs tell as much."""
+
+    value: float
+    low: float
+    high: float
+    n: int
+    blocks: int
+    effective: float
+
+    @property
+    def cautious(self) -> float:
+        """The share less one standard error: Wilson's lower end at z = 1; 0 for no pairs."""
+        return wilson(self.value, self.effective, 1.0)[0] if self.n else 0.0
+
+
+def rate(success: ArrayLike, clusters: ArrayLike, weights: ArrayLike | None = None) -> Rate:
+    """The (weighted) share of successes (K,), with Wilson's interval (1927) at the effective number
+    of pairs (Korn and Graubard 1998): the number of independent ones that would vary as much as the
+    blocks do, never more than there are, and at most the number of blocks where all pairs agree.
+
+    NaN and [0, 1] for no pairs.
+    """
+    good = np.asarray(success, np.float64)
+    w = np.ones(len(good)) if weights is None else np.asarray(weights, np.float64)
+    used = w > 0
+    good, w, labels = good[used], w[used], np.asarray(clusters)[used]
+    if len(good) == 0:
+        return Rate(math.nan, 0.0, 1.0, 0, 0, 0.0)
+    labels = np.unique(labels, return_inverse=True)[1]
+    blocks = int(labels.max()) + 1
+    p = float(np.clip((w * good).sum() / w.sum(), 0.0, 1.0))
+    kish = float(w.sum() ** 2 / (w**2).sum())
+    effective = min(kish, float(blocks))
+    if 0.0 < p < 1.0 and blocks > 1:
+        off = np.bincount(labels, weights=w * (good - p)) / w.sum()
+        variance = blocks / (blocks - 1) * float((off**2).sum())
+        effective = min(kish, p * (1 - p) / variance) if variance > 0 else kish
+    low, high = wilson(p, effective)
+    return Rate(p, low, high, len(good), blocks, effective)
+
+
+def wilson(p: float, n: float, z: float | None = None) -> tuple[float, float]:
+    """Wilson's score interval for a share ``p`` of ``n``; ``z`` None: that of 95%."""
+    if z is None:
+        from scipy.stats import norm
+
+        z = float(norm.ppf(0.5 + LEVEL / 2))
+    middle = (p + z * z / (2 * n)) / (1 + z * z / n)
+    half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def bins_of(scores: Array, count: int = BINS) -> Iterator[tuple[float, float, NDArray[np.intp]]]:
+    """At most ``count`` bins (low, high, members) of equally many defined scores, ends included;
+    equal scores stay together. Fewer bins where they would hold fewer than five."""
+    there = np.flatnonzero(np.isfinite(scores))
+    count = max(1, min(count, len(there) // 5))
+    edges: Any = (
+        np.unique(np.quantile(scores[there], np.linspace(0, 1, count + 1))) if len(there) else []
+    )
+    if len(edges) == 1:
+        yield float(edges[0]), float(edges[0]), there
+    for k in range(len(edges) - 1):
+        above = scores[there] >= edges[k]
+        below = (
+            scores[there] <= edges[k + 1] if k == len(edges) - 2 else scores[there] < edges[k + 1]
+        )
+        members = there[above & below]
+        if len(members):
+            yield float(edges[k]), float(edges[k + 1]), members
+
+
+def quantiles(errors: ArrayLike) -> list[float]:
+    """``QUANTILES`` of errors, those of failed registrations (NaN) taken as infinite."""
+    e = np.asarray(errors, np.float64)
+    if len(e) == 0:
+        return [math.nan] * len(QUANTILES)
+    e = np.where(np.isnan(e), np.inf, e)
+    return [float(q) for q in np.quantile(e, QUANTILES, method="inverted_cdf")]

@@ -1,0 +1,344 @@
+"""What a calibration found, in plain words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rbtm_bench.calibration import guesses
+from rbtm_bench.calibration.advice import Advice, Promise
+from rbtm_bench.calibration.analysis import ALL, EQUAL, PREDICTORS, Measured
+from rbtm_bench.calibration.parts import PARTS
+from rbtm_bench.calibration.plan import Plan
+from rbtm_bench.calibration.rates import Rate, rate
+from rbtm_bench.calibration.sampling import (
+    CONSISTENCY_ERROR,
+    GAP,
+    REVISIT,
+    REVISIT_M,
+    REVISIT_TRAVELLED_M,
+    Sample,
+)
+from rbtm_bench.calibration.tables import Findings, one_area
+from rbtm_bench.statistics import FEWEST
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+TRUTH = {
+    "poses": "the data set's true poses",
+    "relations": "the log's relations",
+    "none": "none is known: how far registrations of the same scans contradict each other "
+    "(forward and backward, and over a scan between) stands in for the error",
+}
+STAND_IN = (
+    "The stand-in is no truth: an error that is the same in every direction is not seen, and a "
+    "pair fails as soon as one of its up to four registrations does. Its areas rank similarities; "
+    "its rates, and thresholds for a wanted rate, are those of this test, not of a run."
+)
+FEW_BLOCKS = 8
+
+
+def text(
+    measured: Measured,
+    samples: Sequence[Sample],
+    findings: Findings,
+    plan: Plan,
+    data: Sequence[str],
+) -> str:
+    """The whole report."""
+    parts = [
+        _pairs(measured, samples, plan, data),
+        _success(measured),
+        *(_areas(measured, findings, kind) for kind in (GAP, REVISIT)),
+        _knees(findings),
+        _advice(findings, plan),
+        _notes(measured, samples, findings, plan),
+    ]
+    return "\n\n".join("\n".join(lines) for lines in parts if lines)
+
+
+def _pairs(
+    measured: Measured, samples: Sequence[Sample], plan: Plan, data: Sequence[str]
+) -> list[str]:
+    told = samples[0].told
+    metres, degrees = plan.within
+    lines = [f"Pairs of {', '.join(data)}"]
+    truth = TRUTH[told["truth"]]
+    if told["truth"] == "relations":
+        truth += f", up to {plan.chain} in a row as one"
+    lines.append(f"  truth      {truth}")
+    lines.append(
+        f"  success    the registration ends within {metres:g} m and {degrees:g} deg of it"
+    )
+    guess = guesses.TOLD[told["guess"]]
+    if told["disturbed"]:
+        guess += f", disturbed by {told['disturbed']} in a random direction"
+    lines.append(f"  guess      {guess}")
+    halves = "first and second half in time"
+    if plan.split == "blocks":
+        halves = f"blocks of {plan.block_s:g} s in turn"
+    lines.append(f"  two parts  calibration and reported: {halves}; nothing in both")
+    counts = {key: sum(s.counts.get(key, 0) for s in samples) for s in samples for key in s.counts}
+    lines.append(
+        "  counts     "
+        + ", ".join(f"{n} {name}" for name, n in counts.items() if n or "pairs" in name)
+    )
+    across = measured.pairs[measured.pairs["kind"] == GAP]
+    gaps = across.groupby("group").size()
+    if told["truth"] == "relations":
+        ends = [0, *gaps.index]
+        words = [
+            f"{b}: {n}" if b - a == 1 else f"{a + 1}-{b}: {n}"
+            for a, b, n in zip(_before(ends, plan), gaps.index, gaps, strict=True)
+        ]
+    else:
+        words = [f"{gap}: {n}" for gap, n in gaps.items()]
+    lines.append("  gaps       " + ", ".join(words) + " pairs (scans back: pairs of both parts)")
+    if (measured.pairs["kind"] == REVISIT).any():
+        lines.append(_revisits(told["truth"], plan))
+    blocks = measured.pairs.loc[measured.pairs["kind"] == GAP, "cluster"].nunique()
+    lines.append(
+        f"  intervals  95%, from {blocks} blocks of {told['block_s']} s: neighbouring pairs are "
+        "not independent"
+    )
+    return lines
+
+
+def _before(ends: Sequence[int], plan: Plan) -> list[int]:
+    """The end of the group before each of the groups that are there."""
+    every = [0, *plan.model_gaps]
+    return [every[every.index(int(end)) - 1] for end in ends[1:]]
+
+
+def _revisits(truth: str, plan: Plan) -> str:
+    metres, degrees = plan.revisit_error
+    what = f"scans at most {REVISIT_M:g} m apart after at least {REVISIT_TRAVELLED_M:g} m of path"
+    if truth == "relations":
+        what = "relations over more than 30 s"
+    return (
+        f"  revisits   {what}; odometry is off by metres there, so their guess is the true motion "
+        f"disturbed by {metres:g} m and {degrees:g} deg; kept apart"
+    )
+
+
+def _success(measured: Measured) -> list[str]:
+    lines = ["Success and error of all pairs (50%, 90% of the errors are at most)"]
+    for kind in (GAP, REVISIT):
+        inside = (measured.pairs["kind"] == kind).to_numpy()
+        if not inside.any():
+            continue
+        clusters = measured.pairs["cluster"].to_numpy()[inside]
+        for name, outcome in measured.outcomes.items():
+            rows = outcome[inside]
+            found = rate(rows["success"], clusters)
+            failed = int(rows["error_m"].isna().sum())
+            lines.append(
+                f"  {name:<28} {'revisits' if kind == REVISIT else 'across gaps':<12} "
+                f"{_share(found)} of {found.n}; {_errors(rows)}"
+                + (f"; {failed} failed" if failed else "")
+            )
+    return lines
+
+
+def _errors(rows: pd.DataFrame) -> str:
+    e = np.where(rows["error_m"].isna(), np.inf, rows["error_m"])
+    d = np.where(rows["error_deg"].isna(), np.inf, rows["error_deg"])
+    m = [f"{q:.3f}" for q in np.quantile(e, [0.5, 0.9], method="inverted_cdf")]
+    g = [f"{q:.2f}" for q in np.quantile(d, [0.5, 0.9], method="inverted_cdf")]
+    return f"{m[0]}, {m[1]} m; {g[0]}, {g[1]} deg"
+
+
+def _areas(measured: Measured, findings: Findings, kind: str) -> list[str]:
+    roc = findings.roc
+    if not (roc["pairs"] == kind).any():
+        return []
+    what = "pairs across gaps" if kind == GAP else "revisits"
+    lines = [
+        f"How well is success predicted beforehand: area under the ROC curve, {what} (0.5: chance)"
+    ]
+    wide = max(26, *(len(name) for name in (*measured.scores, *PREDICTORS.values())))
+    for backend in measured.outcomes:
+        heads = f"{ALL:<20} {EQUAL:<20} {'minus gap, all':<22}" if kind == GAP else f"{'area':<20}"
+        lines.append(f"  {backend:<{wide}} {heads} cost a pair")
+        others = PREDICTORS if kind == GAP else ("distance_m", "rotation_deg")
+        for name in (*measured.scores, *others):
+            every = one_area(roc, backend, name, ALL, kind=kind)
+            if not every:
+                continue
+            words = f"{_of_area(every):<20}"
+            if kind == GAP:
+                words += f" {_of_area(one_area(roc, backend, name, EQUAL, kind=kind)):<20}"
+                words += f" {_of_area(every, 'minus_gap', sign=True):<22}"
+            cost = f" {every['score_us']:.3g} us" if name in measured.scores else ""
+            lines.append(f"    {PREDICTORS.get(name, name):<{wide - 2}} {words}{cost}".rstrip())
+    if kind == GAP:
+        lines += _in_words(measured, findings)
+    return lines
+
+
+def _in_words(measured: Measured, findings: Findings) -> Iterator[str]:
+    """What the areas at equal gap mean, a line a similarity."""
+    for name in measured.scores:
+        said: dict[str, list[str]] = {}
+        for backend in measured.outcomes:
+            row = one_area(findings.roc, backend, name, EQUAL)
+            said.setdefault(_verdict(row), []).append(backend)
+        for verdict, backends in said.items():
+            who = "" if len(said) == 1 else f" ({', '.join(backends)})"
+            yield f"  At equal gap {name} {verdict}{who}."
+
+
+def _verdict(row: Mapping[str, Any]) -> str:
+    value, low, high = (row.get(key) for key in ("auc", "auc_low", "auc_high"))
+    if value is None or not math.isfinite(value):
+        return "cannot be judged: all succeed or all fail"
+    if low is None or high is None or not math.isfinite(low) or not math.isfinite(high):
+        return "cannot be judged: too few blocks"
+    if low > 0.5:
+        return "tells successes from failures better than chance"
+    if high < 0.5:
+        return "is higher for failures than for successes"
+    return "tells nothing that could not be chance"
+
+
+def _of_area(row: Mapping[str, Any], key: str = "auc", sign: bool = False) -> str:
+    value = row.get(key)
+    if value is None or not math.isfinite(value):
+        return "" if sign else "-"
+    plus = "+" if sign else ""
+    low, high = row.get(f"{key}_low"), row.get(f"{key}_high")
+    if low is None or high is None or not math.isfinite(low):
+        return f"{value:{plus}.2f}"
+    return f"{value:{plus}.2f} [{low:{plus}.2f}, {high:{plus}.2f}]"
+
+
+def _knees(findings: Findings) -> list[str]:
+    lines = ["Is there a similarity below which errors rise abruptly? (the paper's knee)"]
+    for (backend, similarity), found in findings.knees.items():
+        between = (
+            f" [{found.low:.2f}, {found.high:.2f}]" if found.found and found.low is not None else ""
+        )
+        lines.append(
+            f"  {backend}, {similarity}: {found.why}{between and f'; at 95%: {between.strip()}'}"
+        )
+    return lines
+
+
+def _advice(findings: Findings, plan: Plan) -> list[str]:
+    lines = [
+        f"Threshold and window for {plan.success:.0%} success, less one standard error: chosen on "
+        "the calibration part to reach back farthest;",
+        "and what they do on the reported part",
+    ]
+    for (backend, similarity), found in findings.advices.items():
+        lines.append(f"  {backend}, {similarity}: {_setting(found)}")
+        lines += [f"      {line}" for line in _of_advice(found)]
+    if findings.best is not None:
+        backend, similarity = findings.best
+        best = findings.advices[findings.best]
+        reach = "reaches back farthest" if best.reached else "promises most, not enough"
+        lines.append(f"  ready to paste (the one that {reach}):")
+        lines.append(f"    {backend_words(backend, similarity)} {overrides(best)}")
+    return lines
+
+
+def backend_words(backend: str, similarity: str) -> str:
+    """The labels as words for a command line: a label is a name, then the settings that differ."""
+    found = []
+    for group, label in (("backend", backend), ("similarity", similarity)):
+        name, *settings = label.split(" ")
+        found += [f"{group}={name}", *(f"{group}.{word}" for word in settings)]
+    return " ".join(found)
+
+
+def _setting(found: Advice) -> str:
+    if found.chosen is None:
+        return found.why
+    words = f"selector.threshold={found.chosen.threshold:g} selector.window={found.chosen.window}"
+    return words if found.reached else f"{words}, but {found.why}"
+
+
+def _of_advice(found: Advice) -> Iterator[str]:
+    if found.chosen is None or found.reported is None:
+        return
+    alone = "; all pass the threshold, the window alone decides" if found.chosen.all_pass else ""
+    yield f"calibration {_of_promise(found.chosen)}{alone}"
+    smallest = ""
+    if found.previous is not None and found.previous.n:
+        smallest = f"; the smallest gap alone: {_share(found.previous)}"
+    yield f"reported    {_of_promise(found.reported)}{smallest}"
+
+
+def overrides(found: Advice) -> str:
+    """The advice as words for a command line."""
+    assert found.chosen is not None
+    return (
+        f"selector=rbtm selector.threshold={found.chosen.threshold:g} "
+        f"selector.window={found.chosen.window}"
+    )
+
+
+def _of_promise(promise: Promise) -> str:
+    use = f"chooses for {promise.used:.0%} of the scans, mean gap {promise.reach:.1f}"
+    if promise.success is None:
+        return f"success not known ({promise.pairs} pairs); {use}"
+    return f"{_share(promise.success)} of {promise.pairs} pairs; {use}"
+
+
+def _share(found: Rate) -> str:
+    if found.n == 0:
+        return "no pairs"
+    return f"{found.value:.0%} [{found.low:.0%}, {found.high:.0%}]"
+
+
+def _notes(
+    measured: Measured, samples: Sequence[Sample], findings: Findings, plan: Plan
+) -> list[str]:
+    lines = []
+    if samples[0].truth is None:
+        lines.append(STAND_IN)
+        size = f"{CONSISTENCY_ERROR[0]:g} m and {CONSISTENCY_ERROR[1]:g} deg"
+        lines.append(
+            f"Each of its registrations starts from a guess with an error of its own ({size})."
+        )
+    inside = (measured.pairs["kind"] == GAP).to_numpy()
+    for name, outcome in measured.outcomes.items():
+        good = outcome["success"].to_numpy(bool)[inside]
+        if good.all() or not good.any():
+            middle = float(np.nanmedian(outcome["error_m"][inside])) if good.any() else math.nan
+            hint = (
+                f"; half of the errors are below {middle:.3g} m: see --within" if good.all() else ""
+            )
+            what = "succeed" if good.all() else "fail"
+            lines.append(
+                f"{name}: all pairs across gaps {what}, nothing is there to predict{hint}."
+            )
+        reasons = outcome.loc[outcome["reason"] != "", "reason"].value_counts()
+        if len(reasons):
+            lines.append(
+                f"{name}: {int(reasons.sum())} registrations failed, most often: {reasons.index[0]}"
+            )
+    for name, scores in measured.scores.items():
+        undefined = int(np.isnan(scores).sum())
+        if undefined:
+            lines.append(
+                f"{name}: {undefined} of {len(scores)} scores are undefined; they never pass a "
+                "threshold and count as the lowest in the areas."
+            )
+    for part in PARTS:
+        some = measured.pairs[inside & (measured.pairs["part"] == part).to_numpy()]
+        blocks = some["cluster"].nunique()
+        if blocks < FEWEST:
+            lines.append(
+                f"The {part} part has {blocks} independent blocks: no interval can be trusted."
+            )
+        elif blocks < FEW_BLOCKS or float(samples[0].told["block_s"]) < 30:
+            lines.append(
+                f"The {part} part is short ({blocks} blocks of {samples[0].told['block_s']} s): "
+                "intervals are rather too short."
+            )
+    return [f"Note: {line}" for line in dict.fromkeys(lines)]

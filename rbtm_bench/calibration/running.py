@@ -1,0 +1,203 @@
+"""One calibration: from the words of the command line to everything that was measured."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rbtm_bench.calibration import measuring
+from rbtm_bench.calibration.analysis import Measured, successes
+from rbtm_bench.calibration.measuring import Node
+from rbtm_bench.calibration.plan import Plan
+from rbtm_bench.calibration.sampling import GAP, Sample, draw
+from rbtm_bench.calibration.track import Track, track_of
+from rbtm_bench.errors import ConfigError
+from rbtm_bench.settings import is_system, shown
+from rbtm_bench.types import Array
+from rbtm_bench.worker import Supervisor
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from rbtm_bench.grid import Point
+
+Progress = Callable[[int, int, str], None]
+"""Called with what is done, what there is in all, and a word on what is being done."""
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """The grid taken apart: by label, the nodes of its data sets, backends and similarities."""
+
+    data: Mapping[str, Node]
+    backends: Mapping[str, Node]
+    similarities: Mapping[str, Node]
+    choices: Mapping[str, str]
+    """By label of a backend or similarity, the member of its group."""
+
+
+def asked_of(points: Sequence[Point]) -> Asked:
+    """The parts of a grid, which must be its product. Raises ``ConfigError`` where they are not, or
+    where a backend registers no pairs."""
+    for point in points:
+        if is_system(point.settings.config):
+            name = point.settings.choices["backend"]
+            raise ConfigError(f"backend={name} is a whole system: it registers no pairs of scans")
+    groups = ("dataset", "backend", "similarity")
+    nodes: dict[str, dict[str, tuple[str, Node]]] = {group: {} for group in groups}
+    for point in points:
+        for group in groups:
+            node = point.settings.config[group]
+            nodes[group].setdefault(_key(node), (point.settings.choices[group], node))
+    triples = {tuple(_key(p.settings.config[g]) for g in groups) for p in points}
+    if len(triples) != np.prod([len(found) for found in nodes.values()]):
+        raise ConfigError(
+            "a calibration takes the same backends and similarities, with the same settings, for "
+            "every data set: calibrate one kind of data set at a time"
+        )
+    labels = {group: _labelled(list(found.values())) for group, found in nodes.items()}
+    choices = {
+        label: name
+        for group in groups[1:]
+        for label, (name, _) in zip(labels[group], nodes[group].values(), strict=True)
+    }
+    return Asked(labels["dataset"], labels["backend"], labels["similarity"], choices)
+
+
+def _key(node: Any) -> str:
+    return json.dumps(node, sort_keys=True, default=str)
+
+
+def _labelled(found: Sequence[tuple[str, Node]]) -> dict[str, Node]:
+    """The nodes by name, and by the settings in which those of one name differ."""
+    out: dict[str, Node] = {}
+    for name, node in found:
+        alike = [other for n, other in found if n == name]
+        keys = [k for k in node if len({_key(other.get(k)) for other in alike}) > 1]
+        out[" ".join([name, *(f"{k}={shown(node[k])}" for k in keys)])] = node
+    return out
+
+
+def measure(
+    asked: Asked, plan: Plan, crew: Sequence[Supervisor], pin: bool, progress: Progress
+) -> tuple[Measured, list[Sample]]:
+    """Draw the pairs of every data set, score and register them. The crew must be idle."""
+    for node in asked.data.values():
+        for similarity in asked.similarities.values():
+            crew[0].call(measuring.check_similarity, node, similarity, pin=pin)
+    samples = [draw(_track(node, progress), plan) for node in asked.data.values()]
+    work = _Work(samples, asked, progress)
+    outcomes: dict[str, list[pd.DataFrame]] = {name: [] for name in asked.backends}
+    scores: dict[str, list[Array]] = {name: [] for name in asked.similarities}
+    offered: dict[str, list[Array]] = {name: [] for name in asked.similarities}
+    for node, sample in zip(asked.data.values(), samples, strict=True):
+        for name, similarity in asked.similarities.items():
+            on_pairs, on_windows = _scores(crew, node, similarity, sample, pin, work.saying(name))
+            scores[name].append(on_pairs)
+            offered[name].append(on_windows)
+        for name, backend in asked.backends.items():
+            done = work.saying(name)
+            outcomes[name].append(
+                measuring.register(crew, node, backend, sample, plan.seed, pin, done)
+            )
+    costs = _costs(asked, crew, pin)
+    pairs, windows = _together(samples)
+    return (
+        Measured(
+            pairs,
+            {name: _judged(found, plan) for name, found in outcomes.items()},
+            {name: np.concatenate(found) for name, found in scores.items()},
+            windows,
+            {name: np.concatenate(found) for name, found in offered.items()},
+            costs,
+        ),
+        samples,
+    )
+
+
+def _judged(found: Sequence[pd.DataFrame], plan: Plan) -> pd.DataFrame:
+    import pandas as pd
+
+    outcome = pd.concat(found, ignore_index=True)
+    return outcome.assign(success=successes(outcome, plan.within))
+
+
+def _track(node: Node, progress: Progress) -> Track:
+    from rbtm_bench import experiment
+
+    dataset = experiment.build(node)
+    return track_of(dataset, lambda done, total: progress(done, total, "reading scans"))
+
+
+class _Work:
+    """How much of all scores and registrations is done."""
+
+    def __init__(self, samples: Sequence[Sample], asked: Asked, progress: Progress) -> None:
+        pairs = sum(len(sample.rows) for sample in samples)
+        self.total = pairs * len(asked.backends)
+        for sample in samples:
+            scored = sample.rows["source"].nunique() + (
+                0 if _same(sample) else sample.windows["source"].nunique()
+            )
+            self.total += scored * len(asked.similarities)
+        self.done, self._progress = 0, progress
+
+    def saying(self, name: str) -> Callable[[int], None]:
+        def more(count: int) -> None:
+            self.done += count
+            self._progress(self.done, self.total, name)
+
+        self._progress(self.done, self.total, name)
+        return more
+
+
+def _same(sample: Sample) -> bool:
+    """True if the windows offer nothing but the sampled pairs."""
+    return sample.told["truth"] != "relations"
+
+
+def _scores(
+    crew: Sequence[Supervisor],
+    data: Node,
+    similarity: Node,
+    sample: Sample,
+    pin: bool,
+    done: Callable[[int], None],
+) -> tuple[Array, Array]:
+    """The scores of the pairs, and of what windows offer."""
+    target, source = (sample.rows[c].to_numpy() for c in ("target", "source"))
+    found = measuring.score(crew, data, similarity, target, source, sample.guess, pin, done)
+    if _same(sample):
+        return found, found[(sample.rows["kind"] == GAP).to_numpy()]
+    target, source = (sample.windows[c].to_numpy() for c in ("target", "source"))
+    windows = measuring.score(
+        crew, data, similarity, target, source, sample.window_guess, pin, done
+    )
+    return found, windows
+
+
+def _costs(asked: Asked, crew: Sequence[Supervisor], pin: bool) -> dict[str, tuple[float, float]]:
+    """Seconds a descriptor and a pair's score on the first data set, by similarity; while nothing
+    else of ours runs."""
+    node = next(iter(asked.data.values()))
+    return {
+        name: crew[0].call(measuring.cost_of, node, similarity, pin=pin)
+        for name, similarity in asked.similarities.items()
+    }
+
+
+def _together(samples: Sequence[Sample]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Pairs and windows of all data sets; clusters of different ones differ."""
+    import pandas as pd
+
+    pairs, windows, first = [], [], 0
+    for number, sample in enumerate(samples):
+        rows = sample.rows.assign(data=number, cluster=sample.rows["cluster"] + first)
+        first = int(rows["cluster"].max()) + 1
+        pairs.append(rows)
+        windows.append(sample.windows.assign(data=number))
+    return pd.concat(pairs, ignore_index=True), pd.concat(windows, ignore_index=True)

@@ -1,0 +1,239 @@
+"""The pages of scripts/premise.py: tables, and plain words computed from the numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import pandas as pd
+from premise_plan import BOUNDS, NOTHING, STRATEGIES, Place
+from tabulate import tabulate
+
+CONTROLS = (NOTHING, "previous", "keyframe", "fixed_gap", "random_gap", "best")
+NEAR = 0.05
+"""Gaps that differ by less than this share are the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """The tables of ``premise_numbers``; shares to the oracle by registration, and by pose."""
+
+    table: pd.DataFrame
+    against: pd.DataFrame
+    shares: pd.DataFrame
+    pose_shares: pd.DataFrame
+
+    @property
+    def all_shares(self) -> pd.DataFrame:
+        return pd.concat([self.shares, self.pose_shares], ignore_index=True)
+
+
+def number(value: float) -> str:
+    """Three digits; nothing for a number that is not there."""
+    if value != value:
+        return ""
+    return f"{value:.0f}" if abs(value) >= 99.95 else f"{float(f'{value:.3g}'):g}"
+
+
+def markdown(rows: Sequence[Sequence[str]], headers: Sequence[str]) -> str:
+    return tabulate(rows, headers, tablefmt="pipe", disable_numparse=True)
+
+
+def wide(found: Found, place: str) -> str:
+    """A place's table: a row a strategy, a column a backend, with what was chosen."""
+    here = found.table[found.table["place"] == place]
+    backends = [b for b in dict.fromkeys(here["backend"]) if b != NOTHING]
+    cells = {(r["backend"], r["strategy"]): r for _, r in here.iterrows()}
+    holds = {
+        (r["backend"], r["strategy"]): r["holds"]
+        for _, r in found.against[found.against["place"] == place].iterrows()
+    }
+    rows = []
+    for strategy in (NOTHING, *STRATEGIES, *BOUNDS):
+        row = [strategy]
+        for backend in backends:
+            own = NOTHING if strategy == NOTHING else backend
+            cell = cells.get((own, strategy))
+            row.append("" if cell is None else _cell(cell, holds.get((backend, strategy), "")))
+        if any(row[1:]):
+            rows.append(row)
+    unit = here["unit"].iloc[0]
+    return markdown(rows, ["strategy", *(f"{backend} ({unit})" for backend in backends)])
+
+
+SIGN = {"better": " (rbtm better)", "worse": " (rbtm worse)", "": ""}
+
+
+def _cell(row: pd.Series, holds: str) -> str:  # type: ignore[type-arg]
+    """ "12 [9, 15], threshold=0.6"; in brackets what holds of rbtm against it."""
+    text = number(row["error"])
+    if row["low"] == row["low"]:
+        text += f" [{number(row['low'])}, {number(row['high'])}]"
+    if row["failed"]:
+        text += f", {row['failed']:.0f} failed"
+    knob, _, value = str(row["setting"]).partition("=")
+    setting = f"{knob.rpartition('.')[2].removeprefix('max_correspondence_')} {value}"
+    setting = "" if row["strategy"] in (*BOUNDS, NOTHING) else f", {setting}"
+    return text + setting + SIGN[holds]
+
+
+def counts(found: Found, names: Sequence[str], strategy: str) -> tuple[int, int, int]:
+    """On how many places and backends rbtm is better, worse, and neither."""
+    here = found.against
+    here = here[here["place"].isin(list(names)) & (here["strategy"] == strategy)]
+    better, worse = ((here["holds"] == word).sum() for word in ("better", "worse"))
+    return int(better), int(worse), len(here) - int(better) - int(worse)
+
+
+def verdicts(found: Found, places: Mapping[str, Place]) -> list[str]:
+    """A line a kind of data and control."""
+    lines = []
+    for kind in dict.fromkeys(place.kind.name for place in places.values()):
+        here = [place for place in places.values() if place.kind.name == kind]
+        names = [place.name for place in here]
+        parts = []
+        for strategy in (*CONTROLS, "rbtm_verified"):
+            better, worse, neither = counts(found, names, strategy)
+            if better + worse + neither:
+                parts.append(f"{strategy} {better} / {worse} / {neither}")
+        lines.append(f"- {here[0].kind.title}: {'; '.join(parts)}.")
+    return lines
+
+
+def share_table(shares: pd.DataFrame, places: Mapping[str, Place]) -> str:
+    rows = []
+    for place in dict.fromkeys(shares["place"]):
+        here = shares[(shares["place"] == place) & (shares["strategy"] == "rbtm")]
+        cells = {str(r["backend"]): _share(r) for _, r in here.iterrows()}
+        rows.append([places[place].title, *cells.values()])
+    backends = list(dict.fromkeys(shares["backend"]))
+    return markdown(rows, ["data", *backends])
+
+
+def _share(row: pd.Series) -> str:  # type: ignore[type-arg]
+    if row["share"] != row["share"]:
+        return "no way to cover"
+    return f"{row['share']:.2f} [{row['low']:.2f}, {row['high']:.2f}]"
+
+
+def share_words(shares: pd.DataFrame) -> str:
+    """How many intervals lie above 0, below 0, or hold it."""
+    here = shares[shares["strategy"] == "rbtm"]
+    there = here[here["share"].notna()]
+    above, below = int((there["low"] > 0).sum()), int((there["high"] < 0).sum())
+    return (
+        f"of {len(here)} pairs of data and backend {len(here) - len(there)} leave no way to cover "
+        f"(the bound is not surely better than a random gap); of the other {len(there)} RBTM is "
+        f"above chance in {above}, below it in {below}, and neither in {len(there) - above - below}"
+    )
+
+
+def why(found: Found, places: Mapping[str, Place]) -> list[str]:
+    """What the gaps and the fallbacks say of where RBTM stands, a line a place."""
+    lines = []
+    for name, place in places.items():
+        here = found.table[found.table["place"] == name]
+        ours = here[here["strategy"] == "rbtm"].set_index("backend")
+        if ours.empty:
+            continue
+        gaps = ours["mean_gap"]
+        words = [f"mean gap {number(gaps.min())} to {number(gaps.max())} scans"]
+        scans = _scans(place)
+        if scans:
+            share = ours["fallbacks"] / scans
+            words.append(
+                f"fell back on {100 * share.min():.0f} to {100 * share.max():.0f}% of them"
+            )
+        winners = []
+        for backend in ours.index:
+            own = here[(here["backend"] == backend) & here["strategy"].isin(STRATEGIES)]
+            if own["error"].notna().any():
+                winners.append(f"{own.loc[own['error'].idxmin(), 'strategy']} ({backend})")
+        words.append(f"least error: {', '.join(winners)}")
+        lines.append(f"- {place.title}: RBTM's {'; '.join(words)}.")
+    return lines
+
+
+def _scans(place: Place) -> int | None:
+    word = next((w for w in place.words if w.startswith("dataset.scans=")), None)
+    return int(word.partition("=")[2]) - 1 if word else None
+
+
+def final_lines(found: Found) -> list[str]:
+    """The end of what is printed."""
+    lines = ["share of the way from a random gap (rbtm's own gaps) to the oracle, rbtm:"]
+    here = found.shares[found.shares["strategy"] == "rbtm"]
+    for _, row in here.iterrows():
+        lines.append(f"  {row['place']:16} {row['backend']:15} {_share(row)}")
+    return [*lines, share_words(found.shares)]
+
+
+def table_page(found: Found, command: str) -> str:
+    """All numbers as Markdown."""
+    rows = []
+    for _, r in found.table.iterrows():
+        rows.append(
+            [
+                r["data"], r["backend"], r["strategy"], r["setting"], str(r["tried"]),
+                r["chosen_on"], f"{number(r['error'])} {r['unit']}",
+                f"{number(r['low'])} to {number(r['high'])}" if r["low"] == r["low"] else "",
+                str(r["n"]), str(r["failed"]), number(r["mean_gap"]), number(r["rejected"]),
+            ]
+        )  # fmt: skip
+    headers = ["data", "backend", "strategy", "setting", "tried", "chosen on", "error"]
+    headers += ["95% interval", "n", "failed", "mean gap", "rejected"]
+    return f"# All rows\n\nMade by `{command}`.\n\n{markdown(rows, headers)}\n"
+
+
+def readme(found: Found, places: Mapping[str, Place], command: str, figures: Sequence[Path]) -> str:
+    """The page."""
+    parts = [
+        "# Does similarity choose the model scan better than chance at the same gap?",
+        f"Made by `{command}`. Every strategy had four settings to choose from: on seeds that are "
+        "not shown, or, for logs, on the other two logs. The guess is odometry for all. "
+        "`random_gap` draws its gaps from the RBTM run beside it. `oracle` registers the whole "
+        "window and keeps the registration nearest to the truth, `oracle_pose` the one whose pose "
+        "ends nearest: bounds, no methods. `none` is the guess alone.",
+        "## In short",
+        f"- Between chance and truth (oracle): {share_words(found.shares)}."
+        if len(found.shares)
+        else "- No data with a true pose for every scan: no bound.",
+        f"- To the oracle by pose: {share_words(found.pose_shares)}."
+        if len(found.pose_shares)
+        else "",
+        "- RBTM against each other strategy, in how many pairs of data and backend it is surely "
+        "better / surely worse / neither (paired intervals; over seeds also the signed-rank test, "
+        "Holm):",
+        "\n".join("  " + line for line in verdicts(found, places)),
+        "## Where RBTM stands, and why",
+        "\n".join(why(found, places)),
+        "What the gap alone does: a longer gap means fewer registrations in a chain, whatever "
+        "chose it. Compare `rbtm` with `random_gap` for what similarity adds to that, and with "
+        "`fixed_gap` and `keyframe` for what it costs nothing to know.",
+    ]
+    if len(found.shares):
+        parts += [
+            "## The share of the way from random_gap to oracle that RBTM covers",
+            "(random_gap - rbtm) / (random_gap - oracle) of medians over seeds or means over a log "
+            "[95 % bootstrap interval over seeds or place-time clusters]. 0 is chance, 1 the "
+            "oracle, below 0 worse than chance.",
+            share_table(found.shares, places),
+            "The same to `oracle_pose`:",
+            share_table(found.pose_shares, places),
+        ]
+    for name, place in places.items():
+        parts += [f"## {place.title}", wide(found, name)]
+    parts += [
+        "## What to know",
+        "Errors: final position (mm), median over seeds, on simulated places; on keyframes the "
+        "translation error (m) over the next 10 m of the true way, mean; on raw logs that of the "
+        "reference relations (m), mean. Brackets: 95 % bootstrap intervals over seeds, or over "
+        "clusters of place and time. Raw logs have no true pose a scan, so no bound. On keyframes "
+        "the similarity searches turns of 30 deg, a setting that was chosen on these very logs "
+        "before (docs/similarity.md): that favours RBTM. In `bare` the similarity is undefined "
+        "everywhere (two straight walls), so RBTM always falls back to the previous scan.",
+        "## Pictures",
+        "\n\n".join(f"![{file.stem}]({file.name})" for file in figures),
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"

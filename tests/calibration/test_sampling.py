@@ -1,0 +1,223 @@
+"""Which pairs are drawn, that the parts are apart, and what is known of pairs beforehand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from rbtm_bench.calibration.guesses import disturbed, motions
+from rbtm_bench.calibration.parts import CALIBRATION, REPORTED, clusters_of, evenly, parts_of
+from rbtm_bench.calibration.plan import Plan
+from rbtm_bench.calibration.reference import known_motions
+from rbtm_bench.calibration.sampling import GAP, REVISIT, Sample, draw
+from rbtm_bench.calibration.track import Track
+from rbtm_bench.datasets.base import Relations
+from rbtm_bench.errors import ConfigError, DataError
+from rbtm_bench.geometry import inverse, rotation_angle, se2, translation_norm
+from rbtm_bench.types import Array
+
+
+def line(count: int = 100, step: float = 0.1) -> Array:
+    """Poses along x, a step a scan."""
+    return np.stack([se2(step * i, 0.0, 0.0) for i in range(count)])
+
+
+def track(poses: Array | None = None, odometry: Array | None = None, reach: float = 5.0) -> Track:
+    truth = line() if poses is None else poses
+    return Track(np.arange(len(truth), dtype=float), odometry, truth, reach, True, None)
+
+
+def scans_of(sample: Sample, part: str) -> set[int]:
+    rows = sample.rows[sample.rows["part"] == part]
+    return set(rows["target"]) | set(rows["source"])
+
+
+@pytest.mark.parametrize("split", ["time", "blocks"])
+def test_the_parts_share_no_scan(split: str) -> None:
+    sample = draw(track(), Plan(split=split, block_s=25.0, gaps=(1, 5, 10)))
+    assert scans_of(sample, CALIBRATION).isdisjoint(scans_of(sample, REPORTED))
+    assert {CALIBRATION, REPORTED} == set(sample.rows["part"])
+
+
+def test_the_cut_is_in_time_whatever_the_order_of_the_scans() -> None:
+    shuffled = replace(track(), stamps=np.random.default_rng(0).permutation(100).astype(float))
+    part = parts_of(shuffled.stamps, np.ones(100, bool), Plan())
+    assert (part == (shuffled.stamps >= 50)).all()
+
+
+def test_scans_without_a_true_pose_are_of_no_part() -> None:
+    poses = line(20)
+    poses[:14] = np.nan
+    part = parts_of(np.arange(20.0), track(poses).known, Plan())
+    assert part.tolist() == [-1] * 14 + [0, 0, 0, 1, 1, 1]
+    sample = draw(track(poses), Plan())
+    assert sample.rows["target"].min() == 14
+    assert np.isfinite(sample.truth).all()
+
+
+def test_every_gap_has_the_same_new_scans() -> None:
+    sample = draw(track(), Plan(gaps=(1, 3, 8), pairs=20, revisits=0))
+    for part in (CALIBRATION, REPORTED):
+        rows = sample.rows[sample.rows["part"] == part]
+        assert rows.groupby("gap").size().to_dict() == {1: 10, 3: 10, 8: 10}
+        assert len({tuple(g["source"]) for _, g in rows.groupby("gap")}) == 1
+    # 1 + 3 + 8 pairs have their ends on either side of the cut
+    assert sample.counts["pairs that cross the cut"] == 12
+    np.testing.assert_allclose(translation_norm(sample.truth), 0.1 * sample.rows["gap"])
+    np.testing.assert_allclose(sample.rows["travelled_m"], 0.1 * sample.rows["gap"])
+
+
+def test_gaps_end_where_scans_no_longer_see_each_other() -> None:
+    sample = draw(track(reach=0.65), Plan())
+    assert sorted(set(sample.rows["gap"])) == [1, 2, 3, 4, 6]
+    with pytest.raises(DataError, match="no scan of each part has 60 others"):
+        draw(track(), Plan(gaps=(1, 60)))
+    with pytest.raises(DataError, match="a calibration needs more scans"):
+        draw(track(line(2)), Plan())
+
+
+def test_revisits_are_near_in_space_and_far_along_the_path() -> None:
+    there = line(60, 0.5)
+    poses = np.concatenate([there, there[::-1], there, there[::-1]])
+    sample = draw(track(poses, odometry=None), Plan(revisits=40, gaps=(1, 2)))
+    again = sample.rows[sample.rows["kind"] == REVISIT]
+    assert len(again) == 40 and set(again["part"]) == {CALIBRATION, REPORTED}
+    assert (again["travelled_m"] >= 10.0).all()
+    T = sample.truth[again.index]
+    assert (translation_norm(T) <= 2.0).all()
+    E = inverse(T) @ sample.guess[again.index]
+    np.testing.assert_allclose(translation_norm(E), 0.2)
+    np.testing.assert_allclose(np.degrees(rotation_angle(E)), 5.0)
+    assert (sample.windows["group"] > 0).all()  # windows offer no revisits
+
+
+def test_the_same_seed_draws_the_same() -> None:
+    there = line(60, 0.5)
+    poses = np.concatenate([there, there[::-1]] * 2)
+    first, again, other = (draw(track(poses), Plan(seed=seed)) for seed in (0, 0, 1))
+    assert first.rows.equals(again.rows) and not first.rows.equals(other.rows)
+    np.testing.assert_array_equal(first.guess, again.guess)
+
+
+def test_guess_is_odometry_where_there_is_some() -> None:
+    odometry = line(step=0.11)
+    sample = draw(track(odometry=odometry), Plan(gaps=(5,)))
+    assert sample.told["guess"] == "odometry"
+    np.testing.assert_allclose(translation_norm(sample.guess), 0.55)
+    np.testing.assert_allclose(sample.rows["distance_m"], 0.55)
+
+
+def test_constant_velocity_repeats_the_last_true_step() -> None:
+    poses = np.stack([se2(0.01 * i * i, 0.0, 0.0) for i in range(10)])
+    T = motions("constant_velocity", track(poses), np.array([2, 0]), np.array([5, 1]))
+    # up to scan 4 it is known (0.16), and its step was 0.07: 0.16 + 0.07 - 0.04
+    assert T[0, 0, 3] == pytest.approx(0.19)
+    np.testing.assert_array_equal(T[1], np.eye(4))  # no step before
+
+
+def test_disturbances_have_their_size_in_space_too() -> None:
+    T = np.tile(np.eye(4), (5, 1, 1))
+    for planar in (True, False):
+        off = disturbed(T, 0.3, 4.0, planar, np.random.default_rng(0))
+        np.testing.assert_allclose(translation_norm(off), 0.3)
+        np.testing.assert_allclose(np.degrees(rotation_angle(off)), 4.0)
+    assert (off[:, 2, 3] != 0).all()
+
+
+def test_without_truth_every_guess_is_wrong_and_a_scan_lies_between() -> None:
+    sample = draw(replace(track(odometry=line()), truth=None), Plan(gaps=(1, 4)))
+    assert sample.truth is None and sample.told["truth"] == "none"
+    assert sample.told["disturbed"] == "0.2 m and 5 deg"
+    gap4 = (sample.rows["gap"] == 4).to_numpy()
+    np.testing.assert_array_equal(sample.middle[gap4], sample.rows["target"][gap4] + 2)
+    assert (sample.middle[~gap4] == -1).all()
+    np.testing.assert_allclose(translation_norm(sample.over_middle[gap4]), 0.2)
+    assert (sample.rows["kind"] == GAP).all()
+
+
+@pytest.mark.parametrize(
+    ("plan", "said"),
+    [
+        (Plan(truth="relations"), "no relations; it has poses, none"),
+        (Plan(guess="odometry"), "this data set has no odometry"),
+        (Plan(truth="none", guess="truth"), "no truth is known"),
+        (Plan(truth="none", guess="constant_velocity"), "needs a true pose a scan"),
+    ],
+)
+def test_what_a_data_set_cannot_give(plan: Plan, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        draw(track(), plan)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"gaps": (0,)}, "--gaps"),
+        ({"gaps": ()}, "--gaps"),
+        ({"pairs": 1}, "--pairs 1: expected at least 2"),
+        ({"success": 1.0}, "--success 1: expected a share between 0 and 1"),
+        ({"within": (0.0, 1.0)}, "--within"),
+        ({"within": (float("nan"), 1.0)}, "--within"),
+        ({"disturb": (-1.0, 0.0)}, "--disturb"),
+        ({"split": "half"}, "--split half: expected one of time, blocks"),
+        ({"block_s": 0.0}, "--block 0"),
+    ],
+)
+def test_options_out_of_range(options: dict, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        Plan(**options)
+
+
+def relations(pairs: list[tuple[float, float]], step: float = 0.1) -> Relations:
+    T = np.stack([se2(step * (b - a), 0.0, 0.0) for a, b in pairs])
+    return Relations(np.array([a for a, _ in pairs]), np.array([b for _, b in pairs]), T)
+
+
+def test_relations_in_a_row_are_one_motion() -> None:
+    given = relations([(0, 3), (3, 5), (5, 9), (20, 22), (40, 99)])
+    found = known_motions(track(), given, chain=3)
+    links = {(t, s): n for t, s, n in zip(found.target, found.source, found.links, strict=True)}
+    assert links == {
+        (0, 3): 1, (3, 5): 1, (5, 9): 1, (20, 22): 1, (40, 99): 1,
+        (0, 5): 2, (3, 9): 2, (0, 9): 3,
+    }  # fmt: skip
+    np.testing.assert_allclose(
+        found.T_target_source[:, 0, 3], 0.1 * (found.source - found.target), atol=1e-12
+    )
+    assert found.local.tolist().count(False) == 1
+    assert len(known_motions(track(), given, chain=1).target) == 5
+
+
+def test_relations_backwards_and_of_no_scan() -> None:
+    found = known_motions(track(), relations([(9, 5), (0.5, 3), (4, 4)]), chain=4)
+    assert (found.target.tolist(), found.source.tolist(), found.unmatched) == ([5], [9], 2)
+    assert found.T_target_source[0, 0, 3] == pytest.approx(0.4)
+
+
+def test_relations_that_cross_the_cut_are_of_no_part() -> None:
+    given = relations([*((i, i + 2) for i in range(0, 98, 2)), (1, 45), (51, 97), (10, 90)])
+    long_track = replace(track(odometry=line()), truth=None, relations=given)
+    sample = draw(long_track, Plan(chain=2))
+    assert sample.told["truth"] == "relations"
+    assert sample.counts["relations that cross the cut"] == 2  # 48 to 50, 10 to 90
+    assert scans_of(sample, CALIBRATION).isdisjoint(scans_of(sample, REPORTED))
+    assert sorted(set(sample.rows[sample.rows["kind"] == GAP]["group"])) == [2, 4]
+    assert (sample.rows["kind"] == REVISIT).sum() == 2
+    assert sorted(set(sample.windows["group"])) == [2, 4]
+
+
+def test_what_is_resampled_together() -> None:
+    stamps = np.arange(0.0, 1000.0)
+    target, source = np.array([0, 20, 40, 100, 101]), np.array([10, 30, 50, 900, 901])
+    revisit = np.array([False, False, False, True, True])
+    labels, block_s = clusters_of(stamps, target, source, revisit)
+    assert block_s == 30.0
+    assert labels[:3].tolist() == [0, 0, 1] and labels[3] == labels[4] > 1
+    assert clusters_of(stamps[:80], target[:3], source[:3], revisit[:3])[1] < 6.0
+
+
+def test_evenly() -> None:
+    assert evenly(3, 10).tolist() == [0, 1, 2]
+    assert evenly(100, 3).tolist() == [0, 50, 99]

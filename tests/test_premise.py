@@ -1,0 +1,183 @@
+"""scripts/premise.py end to end, very small, and the pieces that its numbers hang on."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from sweep_helpers import TESTS, script
+
+from rbtm_bench.errors import DataError
+from rbtm_bench.geometry import se2
+from rbtm_bench.results import read_run
+from rbtm_bench.types import Array
+
+sys.path.insert(0, str(TESTS.parent / "scripts"))
+SCRIPT = script("premise")
+PLAN, NUMBERS, WORDS = (
+    sys.modules[name] for name in ("premise_plan", "premise_numbers", "premise_words")
+)
+
+
+def call(*words: str) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = SCRIPT.main(list(words))
+    return code, out.getvalue(), err.getvalue()
+
+
+def seeds(values: list[float]) -> NUMBERS.Errors:
+    n = len(values)
+    return NUMBERS.Errors(np.array(values), np.arange(n), np.zeros(n, bool), median=True)
+
+
+# --- numbers
+
+
+def test_the_setting_with_the_least_mean_logarithm_is_chosen() -> None:
+    # 1 and 100 (geometric mean 10) against 20 and 20, although the mean of the latter is less
+    assert NUMBERS.choose({("a", 0): 20, ("b", 0): 20, ("a", 1): 1, ("b", 1): 100}) == 1
+    assert NUMBERS.choose({("a", 0): 5.0, ("a", 1): 5.0}) == 0
+    # one that failed somewhere is chosen only where all have
+    assert NUMBERS.choose({("a", 0): math.nan, ("b", 0): 1, ("a", 1): 9, ("b", 1): 9}) == 1
+    assert NUMBERS.choose({("a", 0): math.nan, ("a", 1): math.nan}) == 0
+
+
+def test_the_share_of_the_way_to_the_bound() -> None:
+    chance = seeds([10.0, 11.0, 12.0, 9.0, 10.0, 10.0])
+    bound = seeds([2.0, 2.0, 3.0, 2.0, 1.0, 2.0])
+    half = NUMBERS.share(chance, seeds([6.0] * 6), bound)
+    assert half.value == pytest.approx(0.5)
+    assert half.low < 0.5 < half.high or half.low <= 0.5 <= half.high
+    assert NUMBERS.share(chance, bound, bound).value == 1.0
+    assert NUMBERS.share(chance, chance, bound).value == 0.0
+    assert NUMBERS.share(chance, seeds([14.0] * 6), bound).value == pytest.approx(-0.5)
+
+
+def test_no_way_to_cover_has_no_share() -> None:
+    chance = seeds([1.0, 9.0, 2.0, 8.0, 1.0, 9.0])
+    not_surely_better = seeds([2.0, 1.0, 9.0, 3.0, 2.0, 8.0])
+    assert math.isnan(NUMBERS.share(chance, chance, not_surely_better).value)
+    assert math.isnan(NUMBERS.share(seeds([5.0] * 2), seeds([4.0] * 2), seeds([1.0] * 2)).value)
+
+
+def test_shares_of_a_log_resample_clusters() -> None:
+    clusters = np.repeat(np.arange(10), 5)
+
+    def log(value: float) -> NUMBERS.Errors:
+        return NUMBERS.Errors(np.full(50, value), clusters, np.zeros(50, bool), median=False)
+
+    found = NUMBERS.share(log(4.0), log(3.0), log(2.0))
+    assert (found.value, found.low, found.high, found.n) == (0.5, 0.5, 0.5, 10)
+
+
+def straight(n: int, step: float) -> Array:
+    return np.stack([se2(i * step, 0.0, 0.0) for i in range(n)])
+
+
+def test_segments_compare_the_motion_over_ten_metres() -> None:
+    truth, estimate = straight(31, 1.0), straight(31, 1.01)
+    found = NUMBERS.segments(estimate, truth)
+    assert len(found.values) == 21  # the last ten have no end 10 m further
+    assert np.allclose(found.values, 0.1)
+    assert found.clusters.tolist() == [0] * 20 + [1]
+    assert found.value == pytest.approx(0.1)
+    with pytest.raises(DataError, match="a true way of 9 m: expected more than 10 m"):
+        NUMBERS.segments(straight(10, 1.0), straight(10, 1.0))
+
+
+def test_differences_are_paired_and_tested_over_seeds_only() -> None:
+    over, p = seeds([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]).minus(seeds([2.0, 3.0, 4.0, 5.0, 6.0, 7.0]))
+    assert (over.value, over.low, over.high) == (-1.0, -1.0, -1.0)
+    assert p == pytest.approx(2 / 64)
+    over, p = seeds([1.0, math.nan, 3.0]).minus(seeds([2.0, 3.0, 4.0]))
+    assert over.n == 2 and p is None
+
+
+# --- plan
+
+
+def test_every_strategy_has_equally_many_tries_and_chance_draws_rbtm_s_gaps() -> None:
+    place = PLAN.simulated(1, 1)[0]
+    found = list(PLAN.tries(place, ("open3d_p2p",)))
+    counts = pd.Series([one.strategy for one in found]).value_counts()
+    assert all(counts[strategy] == 4 for strategy in PLAN.STRATEGIES)
+    assert all(counts[bound] == 1 for bound in (*PLAN.BOUNDS, "none"))
+    stems = {one.stem for one in found if one.strategy == "rbtm"}
+    chance = [one for one in found if one.strategy == "random_gap"]
+    assert {one.source for one in chance} == stems
+    (point,) = PLAN.points(chance[0], (3,))
+    assert point.gaps_of == f"{chance[0].source}-3"
+    assert point.settings.config["dataset"]["seed"] == 3
+    assert point.settings.config["selector"]["seed"] == 3
+
+
+# --- end to end
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder, and what was printed."""
+    out = tmp_path_factory.mktemp("premise")
+    code, text, errors = call(
+        "--no-logs", "--seeds", "1", "--backends", "ndt_2d", "--places", "paper",
+        "--out", str(out), "--jobs", "2",
+    )  # fmt: skip
+    assert code == 0, text + errors
+    return out, text
+
+
+def test_the_page_the_tables_and_the_figures_are_there(made: tuple[Path, str]) -> None:
+    out, text = made
+    page = (out / "README.md").read_text()
+    assert "python scripts/premise.py --no-logs --places paper --seeds 1 --backends ndt_2d" in page
+    for name in ("table.md", "against.csv", "shares.csv", "errors_simulated.png"):
+        assert (out / name).stat().st_size > 100, name
+    assert text.splitlines()[-1].startswith("of 1 pairs of data and backend")
+
+
+def test_the_rows_are_the_runs(made: tuple[Path, str]) -> None:
+    out, _ = made
+    table = pd.read_csv(out / "table.csv").set_index(["place", "strategy"])
+    assert set(table.loc["paper"].index) == {"none", *PLAN.STRATEGIES, *PLAN.BOUNDS}
+    row = table.loc["paper", "oracle_pose"]
+    run = read_run(out / "runs" / "paper-ndt_2d-oracle_pose-1-0")
+    assert row["error"] == pytest.approx(run.metrics["final_translation_error_mm"])
+    assert run.config["selector"]["by"] == "pose"
+    chance = table.loc["paper", "random_gap"]
+    assert chance["setting"] == table.loc["paper", "rbtm"]["setting"]
+
+
+def test_mistakes_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("RBTM_BENCH_DATA", raising=False)
+    code, _, errors = call("--out", str(tmp_path))
+    assert code == 2 and "no logs: set RBTM_BENCH_DATA" in errors
+    code, _, errors = call("--no-logs", "--seeds", "0", "--out", str(tmp_path))
+    assert code == 2 and "--seeds 0: expected 1 to 100" in errors
+    code, _, errors = call("--data", str(tmp_path), "--out", str(tmp_path))
+    assert code == 2 and "lacks" in errors
+    code, _, errors = call("--no-logs", "--places", "moon", "--out", str(tmp_path))
+    assert code == 2 and "--places moon" in errors
+
+
+def test_logs_choose_for_one_another(tmp_path: Path) -> None:
+    data = os.environ.get("RBTM_BENCH_DATA")
+    if not data:
+        pytest.skip("RBTM_BENCH_DATA is not set")
+    words = ["--max-scans", "60", "--backends", "ndt_2d", "--data", data]
+    code, text, errors = call(
+        *words, "--places", "aces-corrected,intel-corrected", "--out", str(tmp_path)
+    )
+    assert code == 0, text + errors
+    table = pd.read_csv(tmp_path / "table.csv").set_index(["place", "strategy"])
+    assert table.loc["aces-corrected", "keyframe"]["chosen_on"] == "intel-corrected"
+    assert (table["failed"] == 0).all()
+    assert table.loc["aces-corrected", "oracle"]["error"] > 0
