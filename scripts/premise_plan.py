@@ -15,7 +15,9 @@ from rbtm_bench.grid import Point, make_points
 from rbtm_bench.settings import Settings, shown
 
 BACKENDS = ("open3d_p2p", "open3d_p2plane", "plicp")
-STRATEGIES = ("previous", "keyframe", "fixed_gap", "random_gap", "best", "rbtm", "rbtm_verified")
+RBTM = ("rbtm", "rbtm_verified", "rbtm_overlap")
+"""With the circular curvature, the same with a check, and with the overlap under the guess."""
+STRATEGIES = ("previous", "keyframe", "fixed_gap", "random_gap", "best", *RBTM)
 """The methods; each may choose among four settings."""
 BOUNDS = ("oracle", "oracle_pose")
 """They see the truth: no methods, and nothing to choose."""
@@ -26,6 +28,9 @@ FIRST_CHOICE = 100
 COMMON = ("guess=odometry", "pictures=false", "overwrite=true")
 """With odometry as the guess a registration depends on its pair alone: strategies differ in what
 they choose and in nothing else, and share what they have in common."""
+
+OVERLAPS = (0.4, 0.6, 0.75, 0.9)
+"""Thresholds that are tried with similarity=overlap."""
 
 Tries = dict[str, tuple[str, tuple[float, ...]]]
 """Of every strategy the setting that it may choose, and its values."""
@@ -49,6 +54,7 @@ def tries_of(
         "best": ("selector.window", tuple(windows)),
         "rbtm": threshold,
         "rbtm_verified": threshold,
+        "rbtm_overlap": ("selector.threshold", OVERLAPS),
     }
 
 
@@ -193,6 +199,8 @@ def _of_strategy(place: Place, backend: str, strategy: str, window: str) -> Iter
     words = [f"backend={backend}", f"{knob}={','.join(map(shown, values))}"]
     if strategy in ("rbtm", "rbtm_verified"):
         words += [f"selector={strategy}", window]
+    elif strategy == "rbtm_overlap":
+        words += ["selector=rbtm", "similarity=overlap", window]
     elif strategy == "random_gap":  # composed beside the run that it draws from
         words += ["selector=rbtm,random_gap", window]
     else:
@@ -213,7 +221,10 @@ def _of_strategy(place: Place, backend: str, strategy: str, window: str) -> Iter
 
 
 def _compose(place: Place, *words: str) -> list[Point]:
-    return make_points([*place.kind.words, *place.words, *COMMON, *words])[0]
+    kind = place.kind.words
+    if "similarity=overlap" in words:  # the kind's settings are of the curvature
+        kind = tuple(word for word in kind if not word.startswith("similarity."))
+    return make_points([*kind, *place.words, *COMMON, *words])[0]
 
 
 def points(one: Try, seeds: Sequence[int]) -> list[Point]:

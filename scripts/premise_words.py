@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
-from premise_plan import BOUNDS, NOTHING, STRATEGIES, Place
+from premise_plan import BOUNDS, NOTHING, RBTM, STRATEGIES, Place
 from tabulate import tabulate
 
 CONTROLS = (NOTHING, "previous", "keyframe", "fixed_gap", "random_gap", "best")
@@ -93,7 +93,7 @@ def verdicts(found: Found, places: Mapping[str, Place]) -> list[str]:
         here = [place for place in places.values() if place.kind.name == kind]
         names = [place.name for place in here]
         parts = []
-        for strategy in (*CONTROLS, "rbtm_verified"):
+        for strategy in (*CONTROLS, *RBTM[1:]):
             better, worse, neither = counts(found, names, strategy)
             if better + worse + neither:
                 parts.append(f"{strategy} {better} / {worse} / {neither}")
@@ -194,7 +194,9 @@ def readme(found: Found, places: Mapping[str, Place], command: str, figures: Seq
         "not shown, or, for logs, on the other two logs. The guess is odometry for all. "
         "`random_gap` draws its gaps from the RBTM run beside it. `oracle` registers the whole "
         "window and keeps the registration nearest to the truth, `oracle_pose` the one whose pose "
-        "ends nearest: bounds, no methods. `none` is the guess alone.",
+        "ends nearest: bounds, no methods. `none` is the guess alone. `rbtm` reads the circular "
+        "curvature, `rbtm_overlap` the overlap of the two scans under the guess; `rbtm_verified` "
+        "adds `check=gated`.",
         "## In short",
         f"- Between chance and truth (oracle): {share_words(found.shares)}."
         if len(found.shares)

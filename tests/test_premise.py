@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-import os
 import sys
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from rbtm_bench.results import read_run
 from rbtm_bench.types import Array
 
 sys.path.insert(0, str(TESTS.parent / "scripts"))
-SCRIPT = script("premise")
+SCRIPT, AREAS = script("premise"), script("premise_areas")
 PLAN, NUMBERS, WORDS = (
     sys.modules[name] for name in ("premise_plan", "premise_numbers", "premise_words")
 )
@@ -168,11 +167,8 @@ def test_mistakes_are_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert code == 2 and "--places moon" in errors
 
 
-def test_logs_choose_for_one_another(tmp_path: Path) -> None:
-    data = os.environ.get("RBTM_BENCH_DATA")
-    if not data:
-        pytest.skip("RBTM_BENCH_DATA is not set")
-    words = ["--max-scans", "60", "--backends", "ndt_2d", "--data", data]
+def test_logs_choose_for_one_another(data_dir: Path, tmp_path: Path) -> None:
+    words = ["--max-scans", "60", "--backends", "ndt_2d", "--data", str(data_dir)]
     code, text, errors = call(
         *words, "--places", "aces-corrected,intel-corrected", "--out", str(tmp_path)
     )
@@ -181,3 +177,46 @@ def test_logs_choose_for_one_another(tmp_path: Path) -> None:
     assert table.loc["aces-corrected", "keyframe"]["chosen_on"] == "intel-corrected"
     assert (table["failed"] == 0).all()
     assert table.loc["aces-corrected", "oracle"]["error"] > 0
+
+
+# --- areas
+
+
+def areas(name: str, auc: float, low: float, high: float, backend: str = "a") -> dict[str, object]:
+    row = {"data": "d", "backend": backend, "predictor": name, "compared": "all gaps"}
+    row |= {"auc": auc, "auc_low": low, "auc_high": high, "successes": 9.0, "failures": 3.0}
+    return row | {"minus_gap_low": 0.01, "minus_gap_high": 0.2, "score_us": 2.0, "describe_us": 5.0}
+
+
+def test_areas_are_counted_against_chance() -> None:
+    rows = [
+        areas("overlap", 0.7, 0.6, 0.8),
+        areas("overlap", 0.3, 0.2, 0.4, "b"),
+        areas("overlap", 0.6, 0.4, 0.8, "c"),
+        areas("overlap", math.nan, math.nan, math.nan, "d"),  # no failure at all
+    ]
+    (line,) = [
+        words for words in AREAS.count_table(pd.DataFrame(rows)).splitlines() if "overlap" in words
+    ]
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    assert cells == ["overlap", "1 / 1 of 3", "0 / 0 of 0", "4 / 0 of 4", "2", "5"]
+    table = AREAS.area_table(pd.DataFrame(rows), "all gaps")
+    assert "0.70 [0.60, 0.80]" in table and "9 / 3" in table
+
+
+def test_areas_of_a_place_are_made_once(tmp_path: Path) -> None:
+    def run() -> tuple[int, str]:
+        text = io.StringIO()
+        with contextlib.redirect_stdout(text):
+            code = AREAS.main(
+                ["--no-logs", "--only", "paper", "--backends", "ndt_2d", "--out", str(tmp_path)]
+            )
+        return code, text.getvalue()
+
+    code, text = run()
+    assert code == 0, text
+    made = (tmp_path / "calibrate" / "paper" / "roc.csv").stat().st_mtime_ns
+    assert run()[0] == 0
+    assert (tmp_path / "calibrate" / "paper" / "roc.csv").stat().st_mtime_ns == made
+    page = (tmp_path / "areas.md").read_text()
+    assert "## Areas at equal gaps" in page and "simulated: paper" in page
