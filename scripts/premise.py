@@ -17,10 +17,11 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
+import shutil
 import sys
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import premise_numbers as numbers
@@ -28,6 +29,8 @@ from premise_figures import draw
 from premise_numbers import Key, Outcome
 from premise_plan import (
     BACKENDS,
+    BOUNDS,
+    RBTM,
     STRATEGIES,
     Kind,
     Place,
@@ -181,6 +184,11 @@ def study_all(study: Study, options: argparse.Namespace, command: str) -> int:
         numbers.against(found),
         numbers.shares(found),
         numbers.shares(found, "oracle_pose"),
+        {
+            (ours, bound): numbers.pooled_share(found, ours, bound)
+            for ours in RBTM
+            for bound in BOUNDS
+        },
     )
     for name, table in (
         ("table", tables.table), ("against", tables.against), ("shares", tables.all_shares),
@@ -188,7 +196,10 @@ def study_all(study: Study, options: argparse.Namespace, command: str) -> int:
         write_text(options.out / f"{name}.csv", table.to_csv(index=False))
     figures = draw(tables, list(study.places.values()), options.out)
     write_text(options.out / "table.md", table_page(tables, command))
-    write_text(options.out / "README.md", readme(tables, study.places, command, figures))
+    page = readme(tables, study.places, command, figures)
+    write_text(options.out / "README.md", page)
+    if options.reference:
+        write_reference(tables, page, figures, options.reference)
     for file in (options.out / "README.md", options.out / "table.md", *figures):
         print(file)
     spent = (time.perf_counter() - started) / 60
@@ -197,6 +208,18 @@ def study_all(study: Study, options: argparse.Namespace, command: str) -> int:
         print(f"failed: {name}: {reason}", file=sys.stderr)
     print("\n".join(final_lines(tables)))
     return 1 if campaign.failed else 0
+
+
+def write_reference(tables: Found, page: str, figures: Sequence[Path], folder: Path) -> None:
+    """The page, a table without times, and the pictures, to be committed."""
+    small = tables.table.drop(columns=["ms_per_scan"])
+    numeric = small.select_dtypes("float").columns
+    small[numeric] = small[numeric].map(lambda value: float(f"{value:.4g}"))
+    write_text(folder / "premise.csv", small.to_csv(index=False))
+    for file in figures:
+        page = page.replace(f"]({file.name})", f"](premise_{file.name})")
+        shutil.copyfile(file, folder / f"premise_{file.name}")
+    write_text(folder / "premise.md", page)
 
 
 def make_places(options: argparse.Namespace) -> list[Place]:
@@ -229,6 +252,14 @@ def _wanted(places: list[Place], names: str | None) -> list[Place]:
     return [known[name] for name in wanted]
 
 
+def sharing(places: list[Place], folder: Path | None) -> list[Place]:
+    """The logs with the registrations of another study (scripts/freiburg_table.py)."""
+    if folder is None:
+        return places
+    word = f"pairs.folder='{folder.resolve()}'"
+    return [p if p.kind.seeds else replace(p, words=(*p.words, word)) for p in places]
+
+
 def command_of(options: argparse.Namespace) -> str:
     """The command that makes the same tables, wherever the data and the results are."""
     words = ["python", "scripts/premise.py"]
@@ -253,14 +284,21 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, help="seeds that are shown")
     parser.add_argument("--max-scans", type=int, metavar="N", help="the first N of each log")
     parser.add_argument("--backends", metavar="A,B", help=f"default {','.join(BACKENDS)}")
+    parser.add_argument(
+        "--pairs", type=Path, metavar="FOLDER", help="registrations of logs to share, e.g. "
+        "results/freiburg/runs/pairs",
+    )  # fmt: skip
     parser.add_argument("--jobs", "-j", type=int, default=comparison.default_jobs())
+    parser.add_argument(
+        "--reference", type=Path, metavar="FOLDER", help="leave premise.md and .csv there, too"
+    )
     parser.add_argument("--fresh", action="store_true", help="keep no run of an earlier call")
     parser.add_argument("--debug", action="store_true", help="errors with their whole traceback")
     options = parser.parse_args(words)
 
     def call() -> int:
         backends = options.backends.split(",") if options.backends else BACKENDS
-        study = make_study(make_places(options), backends)
+        study = make_study(sharing(make_places(options), options.pairs), backends)
         begin(options.out / "runs", options.fresh)
         return study_all(study, options, command_of(options))
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from premise_plan import BOUNDS, NOTHING, SIMULATED, STRATEGIES, Kind, Try
+from premise_plan import BOUNDS, NOTHING, RBTM, SIMULATED, STRATEGIES, Kind, Try
 
 from rbtm_bench import statistics
 from rbtm_bench.errors import DataError
@@ -245,7 +245,7 @@ def shares(found: Mapping[Key, Outcome], bound: str = "oracle") -> pd.DataFrame:
     rows = []
     for place, backend in dict.fromkeys((p, b) for p, b, s in found if s == bound):
         ends = [found[place, backend, name].errors for name in ("random_gap", bound)]
-        for strategy in ("rbtm", "rbtm_verified"):
+        for strategy in RBTM:
             mine = found[place, backend, strategy].errors
             if mine is None or ends[0] is None or ends[1] is None:
                 continue
@@ -255,6 +255,35 @@ def shares(found: Mapping[Key, Outcome], bound: str = "oracle") -> pd.DataFrame:
             row |= {"share": over.value, "low": _number(over.low), "high": _number(over.high)}
             rows.append({**row, "n": over.n})
     return pd.DataFrame(rows)
+
+
+def pooled_share(found: Mapping[Key, Outcome], ours: str, bound: str = "oracle") -> Interval:
+    """The share over all simulated places and backends, of logarithms, so that a ratio counts the
+    same everywhere: mean log(random / ours) over mean log(random / bound). Seeds are resampled,
+    each with all its places and backends."""
+    ways, gains = [], []
+    for place, backend, strategy in found:
+        if strategy != bound or found[place, backend, bound].one.place.kind.name != SIMULATED:
+            continue
+        three = [found[place, backend, name].errors for name in ("random_gap", ours, bound)]
+        if all(three):
+            logs = [np.log(np.maximum(one.values, LEAST)) for one in three if one]
+            ways.append(logs[0] - logs[1])
+            gains.append(logs[0] - logs[2])
+    if not ways:
+        return Interval(math.nan, None, None, 0)
+    way, gain = (np.nanmean(np.stack(rows), axis=0) for rows in (ways, gains))
+    there = ~np.isnan(way + gain)
+    way, gain, n = way[there], gain[there], int(there.sum())
+    value = float(way.mean() / gain.mean()) if n and gain.mean() > 0 else math.nan
+    if n < statistics.FEWEST:
+        return Interval(value, None, None, n)
+    drawn = np.random.default_rng(statistics.SEED).integers(0, n, (RESAMPLES, n))
+    below = gain[drawn].mean(axis=1)
+    if np.quantile(below, 0.025) <= 0:
+        return Interval(math.nan, None, None, n)
+    low, high = np.quantile(way[drawn].mean(axis=1) / below, [0.025, 0.975])
+    return Interval(value, float(low), float(high), n)
 
 
 def _number(value: float | None) -> float:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from premise_plan import BOUNDS, NOTHING, RBTM, STRATEGIES, Place
 from tabulate import tabulate
+
+from rbtm_bench.statistics import Interval
 
 CONTROLS = (NOTHING, "previous", "keyframe", "fixed_gap", "random_gap", "best")
 NEAR = 0.05
@@ -23,6 +26,8 @@ class Found:
     against: pd.DataFrame
     shares: pd.DataFrame
     pose_shares: pd.DataFrame
+    pooled: Mapping[tuple[str, str], Interval]
+    """By method and bound, over all simulated places and backends."""
 
     @property
     def all_shares(self) -> pd.DataFrame:
@@ -101,19 +106,29 @@ def verdicts(found: Found, places: Mapping[str, Place]) -> list[str]:
     return lines
 
 
-def share_table(shares: pd.DataFrame, places: Mapping[str, Place]) -> str:
-    rows = []
-    for place in dict.fromkeys(shares["place"]):
-        here = shares[(shares["place"] == place) & (shares["strategy"] == "rbtm")]
-        cells = {str(r["backend"]): _share(r) for _, r in here.iterrows()}
-        rows.append([places[place].title, *cells.values()])
+def share_table(found: Found, bound: str, places: Mapping[str, Place]) -> str:
+    """A row a place and method; then those of all simulated places together."""
+    shares = found.all_shares[found.all_shares["bound"] == bound]
     backends = list(dict.fromkeys(shares["backend"]))
-    return markdown(rows, ["data", *backends])
+    rows = []
+    for (place, strategy), here in shares.groupby(["place", "strategy"], sort=False):
+        cells = {str(r["backend"]): _share(r) for _, r in here.iterrows()}
+        rows.append(
+            [places[str(place)].title, str(strategy), *(cells.get(b, "") for b in backends)]
+        )
+    for (strategy, name), over in found.pooled.items():
+        if name == bound and over.n:
+            text = _share({"share": over.value, "low": over.low, "high": over.high})
+            empty = [""] * (len(backends) - 1)
+            rows.append(["all simulated, of logarithms", strategy, f"{text} all backends", *empty])
+    return markdown(rows, ["data", "method", *backends])
 
 
-def _share(row: pd.Series) -> str:  # type: ignore[type-arg]
+def _share(row: Any) -> str:
     if row["share"] != row["share"]:
         return "no way to cover"
+    if row["low"] is None:
+        return f"{row['share']:.2f}"
     return f"{row['share']:.2f} [{row['low']:.2f}, {row['high']:.2f}]"
 
 
@@ -166,6 +181,10 @@ def final_lines(found: Found) -> list[str]:
     here = found.shares[found.shares["strategy"] == "rbtm"]
     for _, row in here.iterrows():
         lines.append(f"  {row['place']:16} {row['backend']:15} {_share(row)}")
+    for (strategy, bound), over in found.pooled.items():
+        if bound == "oracle" and over.n:
+            text = _share({"share": over.value, "low": over.low, "high": over.high})
+            lines.append(f"  all simulated places and backends, of logarithms, {strategy}: {text}")
     return [*lines, share_words(found.shares)]
 
 
@@ -220,9 +239,9 @@ def readme(found: Found, places: Mapping[str, Place], command: str, figures: Seq
             "(random_gap - rbtm) / (random_gap - oracle) of medians over seeds or means over a log "
             "[95 % bootstrap interval over seeds or place-time clusters]. 0 is chance, 1 the "
             "oracle, below 0 worse than chance.",
-            share_table(found.shares, places),
+            share_table(found, "oracle", places),
             "The same to `oracle_pose`:",
-            share_table(found.pose_shares, places),
+            share_table(found, "oracle_pose", places),
         ]
     for name, place in places.items():
         parts += [f"## {place.title}", wide(found, name)]

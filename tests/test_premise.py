@@ -78,6 +78,27 @@ def test_shares_of_a_log_resample_clusters() -> None:
     assert (found.value, found.low, found.high, found.n) == (0.5, 0.5, 0.5, 10)
 
 
+def test_the_pooled_share_is_of_logarithms() -> None:
+    class One:
+        """As much of a try as is asked for."""
+
+        class place:  # noqa: N801
+            kind = PLAN.simulated(1, 1)[0].kind
+
+    def outcome(values: list[float]) -> NUMBERS.Outcome:
+        return NUMBERS.Outcome(One, 1, "", [], len(values), seeds(values))
+
+    found = {}
+    for place, scale in (("a", 1.0), ("b", 1000.0)):
+        found[place, "p", "random_gap"] = outcome([16.0 * scale] * 4)
+        found[place, "p", "rbtm"] = outcome([8.0 * scale] * 4)
+        found[place, "p", "oracle"] = outcome([1.0 * scale] * 4)
+    over = NUMBERS.pooled_share(found, "rbtm")
+    assert (over.value, over.low, over.high, over.n) == (
+        pytest.approx(0.25), pytest.approx(0.25), pytest.approx(0.25), 4,
+    )  # fmt: skip
+
+
 def straight(n: int, step: float) -> Array:
     return np.stack([se2(i * step, 0.0, 0.0) for i in range(n)])
 

@@ -64,8 +64,19 @@ def test_not_said_for_too_little() -> None:
     s, e, blocks = made("step")
     assert "cannot be said: 30 pairs" in knee(s[:30], e[:30], blocks[:30]).why
     assert "in 2 blocks" in knee(s, e, blocks % 2).why
-    assert knee(np.ones(PAIRS), e, blocks).why == "cannot be said: all scores are equal"
+    assert knee(np.ones(PAIRS), e, blocks).why == "cannot be said: nearly all scores are equal"
+    assert knee(s, np.full(PAIRS, 0.2), blocks).why == "cannot be said: all errors are equal"
     assert not knee(s, np.full(PAIRS, np.nan), blocks).found
+
+
+def test_most_scores_alike() -> None:
+    """Every break lies above the least score, so that there are pairs below it."""
+    s, e, blocks = made("none")
+    found = knee(np.where(s < 0.3, 0.0, s), e, blocks)
+    assert not found.found
+    assert found.threshold is not None and found.threshold > 0 and found.rise is not None
+    most = np.where(s < 0.97, 0.0, s)  # not even the highest break has a pair below it
+    assert knee(most, e, blocks).why == "cannot be said: nearly all scores are equal"
 
 
 def test_failures_are_large_errors_and_undefined_scores_are_left_out() -> None:
