@@ -272,7 +272,7 @@ def similarity_matrix(dataset: Dataset, similarity: Similarity) -> tuple[Any, Ar
     """Scan numbers (K,) and scores (K, K) of at most 181 scans spread over the data set."""
     count = min(len(dataset), SIMILARITY_PICTURE)
     scans = np.unique(np.linspace(0, len(dataset) - 1, count).round().astype(np.int64))
-    descriptors = np.stack([similarity.describe(dataset[int(i)]) for i in scans])
+    descriptors = np.stack([similarity.describe(dataset[int(i)].without_truth()) for i in scans])
     return scans, similarity.matrix(descriptors)
 
 

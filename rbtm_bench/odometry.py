@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -90,7 +90,7 @@ def _without_truth(scan: Scan, selector: Selector) -> Scan:
     """The scan as everything may see it. Only a selector that says so is shown its truth."""
     if selector.needs_truth:
         selector.see(scan)
-    return scan if scan.ground_truth is None else replace(scan, ground_truth=None)
+    return scan.without_truth()
 
 
 def _prepare(scan: Scan, backend: Backend, record: StepRecord) -> Prepared | None:

@@ -87,7 +87,7 @@ def register_all(
         try:
             for key, scan in scans.items():
                 if key not in prepared:
-                    prepared[key] = backend.prepare(scan)
+                    prepared[key] = backend.prepare(scan.without_truth())
             source, target = prepared[id(pair.source)], prepared[id(pair.target)]
             result = backend.register(source, target, guess)
         except BackendError as error:

@@ -128,7 +128,7 @@ def compute(
     """
     tell = progress or (lambda done, total, note: None)
     if len(dataset):
-        size = similarity.describe(dataset[0]).nbytes
+        size = similarity.describe(dataset[0].without_truth()).nbytes
         refuse_too_large(len(dataset), window, memory_mb, stride, size)
     described, stamps, poses = _described(dataset, similarity, tell)
     guess = ""
@@ -153,7 +153,7 @@ def _described(
     stamps = np.zeros(count)
     poses = np.full((count, 4, 4), np.nan)
     for i, scan in enumerate(dataset):
-        one = similarity.describe(scan)
+        one = similarity.describe(scan.without_truth())
         if descriptors is None:
             descriptors = np.zeros((count, len(one)), one.dtype)
         descriptors[i], stamps[i] = one, scan.stamp

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -29,7 +28,7 @@ def system_odometry(scans: Iterable[Scan], system: System) -> Iterator[Step]:
     is_tracking = False
     for scan in scans:
         record = StepRecord(scan.index, scan.stamp)
-        tracked = _track(replace(scan, ground_truth=None), tracker, record)
+        tracked = _track(scan.without_truth(), tracker, record)
         if previous is None:
             edges: tuple[Edge, ...] = ()
             T_world_scan = chain.start(scan.index)

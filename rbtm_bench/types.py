@@ -6,7 +6,7 @@ Units are metres, radians and seconds. Poses are 4x4 float64 and named by direct
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -34,6 +34,10 @@ class Scan:
     angles: Array | None = None
     odometry: Array | None = None
     ground_truth: Array | None = None
+
+    def without_truth(self) -> Scan:
+        """The scan as a method may see it."""
+        return self if self.ground_truth is None else replace(self, ground_truth=None)
 
 
 @dataclass(frozen=True, eq=False)

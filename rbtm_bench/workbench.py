@@ -310,7 +310,8 @@ class SharedSimilarity(Similarity):
         self._similarity = similarity
         self.needs_guess = similarity.needs_guess
         started = time.perf_counter()
-        self._descriptors: Descriptor = np.stack([similarity.describe(scan) for scan in dataset])
+        scans = (scan.without_truth() for scan in dataset)
+        self._descriptors: Descriptor = np.stack([similarity.describe(scan) for scan in scans])
         self._describe_seconds = (time.perf_counter() - started) / max(1, len(dataset))
         self._band: Array = np.zeros((len(dataset), 0))
         self._score_seconds = 0.0

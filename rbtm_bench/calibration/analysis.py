@@ -225,7 +225,7 @@ def evidence(measured: Measured, outcome: pd.DataFrame, similarity: str, part: s
         outcome["success"].to_numpy(bool)[inside],
         rows["group"].to_numpy(),
         rows["cluster"].to_numpy(),
-        table.to_numpy(np.float64).reshape(len(table), -1),
+        table.to_numpy(np.float64),
         table.columns.to_numpy(np.intp),
     )
 

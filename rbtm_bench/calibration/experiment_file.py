@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +21,8 @@ def content(out: Path, asked: Asked, points: Sequence[Point]) -> str | None:
     """The best advice of the calibration in ``out`` as YAML; None if it advises nothing.
 
     It names backend and similarity with all settings that the threshold was found with, for
-    another setting makes another score. Words on the command line still win.
+    another setting makes another score, and the guess that registrations started from. Words on
+    the command line still win.
     """
     import pandas as pd
 
@@ -36,6 +38,8 @@ def content(out: Path, asked: Asked, points: Sequence[Point]) -> str | None:
     lines = ["# @package _global_", *_comment(row, str(record["command"]))]
     lines += ["defaults:"]
     lines += [f"  - override /{group}: {name}" for group, name in members.items()]
+    guess = str(record["samples"][0]["guess"])
+    lines += [f"  - override /guess: {guess}"] if guess != "truth" else []
     lines += ["  - override /selector: rbtm", "selector:"]
     lines += [f"  threshold: {row['threshold']:g}", f"  window: {int(row['window'])}"]
     return "\n".join([*lines, *_settings(nodes)]) + "\n"
@@ -47,9 +51,15 @@ def _comment(row: pd.Series[Any], command: str) -> list[str]:
         f"# Made by: {' '.join(command.split())}",
         f"# Wanted success {row['wanted']:g}: the calibration part {said} it "
         f"({row['calibration_success']:.3f});",
-        f"# on the reported part {row['reported_success']:.3f} "
-        f"[{row['reported_success_low']:.3f}, {row['reported_success_high']:.3f}].",
+        f"# on the reported part {_reported(row)}.",
     ]
+
+
+def _reported(row: pd.Series[Any]) -> str:
+    if math.isnan(row["reported_success"]):
+        return "it is not known"
+    low, high = row["reported_success_low"], row["reported_success_high"]
+    return f"{row['reported_success']:.3f} [{low:.3f}, {high:.3f}]"
 
 
 def _settings(nodes: dict[str, dict[str, Any]]) -> list[str]:

@@ -62,10 +62,13 @@ def knee(scores: ArrayLike, errors: ArrayLike, clusters: ArrayLike) -> Knee:
     known = np.isfinite(e)
     if len(s) < FEWEST_PAIRS or blocks < FEWEST_BLOCKS or not known.any():
         return Knee(False, f"cannot be said: {len(s)} pairs with a score in {blocks} blocks")
-    if np.ptp(s) < 1e-9:
-        return Knee(False, "cannot be said: all scores are equal")
-    y = np.log10(np.maximum(np.where(known, e, e[known].max()), FLOOR_M))
     breaks = np.unique(np.quantile(s, np.linspace(EDGE, 1 - EDGE, BREAKS)))
+    breaks = breaks[breaks > s.min()]  # else no pair is below
+    if len(breaks) == 0 or np.ptp(s) < 1e-9:
+        return Knee(False, "cannot be said: nearly all scores are equal")
+    y = np.log10(np.maximum(np.where(known, e, e[known].max()), FLOOR_M))
+    if np.ptp(y) < 1e-9:
+        return Knee(False, "cannot be said: all errors are equal")
     x = (s - s.mean()) / s.std()
     designs = _designs(x, (breaks - s.mean()) / s.std())
     losses = _unseen(designs, y, labels, blocks)

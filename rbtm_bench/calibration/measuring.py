@@ -84,7 +84,7 @@ class _Kept:
     def item(self, scan: int, make: Callable[[Scan], Any]) -> Any:
         """What ``make`` makes of a scan, made once as long as there is room."""
         if scan not in self.items:
-            read = self.dataset[scan]
+            read = self.dataset[scan].without_truth()
             self.items[scan] = make(read)
             self.bytes += 8.0 * read.points.nbytes
             while len(self.items) > SCANS_KEPT or (
@@ -196,7 +196,7 @@ def cost_of(data: Node, similarity: Node) -> tuple[float, float]:
     count = min(COST_WINDOW + COST_SCANS + 1, scans)
     first = (scans - count) // 2
     window = min(COST_WINDOW, count - 1)
-    read = [dataset[i] for i in range(first, first + count)]
+    read = [dataset[i].without_truth() for i in range(first, first + count)]
     describe, descriptors = [], []
     for scan in read:
         started = time.perf_counter()

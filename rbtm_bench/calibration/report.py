@@ -55,7 +55,7 @@ def text(
         _success(measured),
         *(_areas(measured, findings, kind) for kind in (GAP, REVISIT)),
         _knees(findings),
-        _advice(findings, plan),
+        _advice(findings, plan, samples[0].told["guess"]),
         _notes(measured, samples, findings, plan),
     ]
     return "\n\n".join("\n".join(lines) for lines in parts if lines)
@@ -228,7 +228,7 @@ def _knees(findings: Findings) -> list[str]:
     return lines
 
 
-def _advice(findings: Findings, plan: Plan) -> list[str]:
+def _advice(findings: Findings, plan: Plan, guess: str) -> list[str]:
     lines = [
         f"Threshold and window for {plan.success:.0%} success, less one standard error: chosen on "
         "the calibration part to reach back farthest;",
@@ -242,7 +242,8 @@ def _advice(findings: Findings, plan: Plan) -> list[str]:
         best = findings.advices[findings.best]
         reach = "reaches back farthest" if best.reached else "promises most, not enough"
         lines.append(f"  ready to paste (the one that {reach}):")
-        lines.append(f"    {backend_words(backend, similarity)} {overrides(best)}")
+        start = "" if guess == "truth" else f" guess={guess}"  # a run's own may be another
+        lines.append(f"    {backend_words(backend, similarity)} {overrides(best)}{start}")
     return lines
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
+from rbtm_bench.calibration import analysis
 from rbtm_bench.calibration.advice import Evidence, advise, choices, promise, thresholds
 
 GROUPS = np.array([1, 2, 4])
@@ -89,3 +91,18 @@ def test_thresholds_are_round_and_cover_the_scores() -> None:
     np.testing.assert_allclose(found, [0.08, 0.10, 0.12, 0.14, 0.16, 0.18, 0.20, 0.22, 0.24, 0.26])
     assert thresholds(np.array([-1.0, 0.0])).min() == -1.0
     assert len(thresholds(np.array([np.nan]))) == 0
+
+
+def test_a_part_whose_windows_offer_nothing() -> None:
+    """Short blocks of a log with relations: pairs, but no scan with all gaps behind it."""
+    pairs = pd.DataFrame(
+        {"data": 0, "kind": "gap", "part": "reported", "group": 1, "cluster": [0, 1]}
+    )
+    outcome = pd.DataFrame({"success": [True, False]})
+    windows = pd.DataFrame({"data": [0], "source": [9], "group": [1], "part": ["calibration"]})
+    scores, offered = {"s": np.array([0.5, 0.6])}, {"s": np.array([0.7])}
+    measured = analysis.Measured(pairs, {"b": outcome}, scores, windows, offered, {})
+    found = analysis.evidence(measured, outcome, "s", "reported")
+    assert found.offered.shape == (0, 0)
+    assert promise(found, 0.1, 2).success is None
+    assert not analysis.advices(measured, 0.9)["b", "s"].reached

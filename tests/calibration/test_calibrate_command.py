@@ -63,6 +63,8 @@ def test_what_is_said(made: tuple[Path, str]) -> None:
     assert "guess      odometry between the two scans" in printed
     assert "pairs that cross the cut" in printed
     assert "selector.threshold=" in printed and "ready to paste" in printed
+    pasted = printed.partition("ready to paste")[2].splitlines()[1]
+    assert pasted.endswith(" guess=odometry")  # what was calibrated, not the corridor's default
 
 
 def test_a_row_a_pair_and_backend(made: tuple[Path, str]) -> None:
@@ -112,6 +114,7 @@ def test_the_yaml_is_used(made: tuple[Path, str], tmp_path: Path) -> None:
     assert config["selector"]["window"] == summary["window"]
     chosen = json.loads((tmp_path / "run" / "run.json").read_text())["choices"]
     assert [chosen["backend"], chosen["similarity"]] == [summary["backend"], summary["similarity"]]
+    assert chosen["guess"] == "odometry"
 
 
 @pytest.mark.parametrize(

@@ -11,22 +11,27 @@ import pytest
 from test_odometry import Perfect, Script, drive, method, rows, true_pose
 from test_workbench import assert_same, steps
 
+from rbtm_bench import scorematrix
+from rbtm_bench.calibration.measuring import _Kept
 from rbtm_bench.cli import main
 from rbtm_bench.contract.scene import TinyClouds
+from rbtm_bench.datasets.corridor import Corridor
 from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.experiment import check_fit, instantiate
-from rbtm_bench.geometry import se2
+from rbtm_bench.experiment import check_fit, instantiate, similarity_matrix
+from rbtm_bench.geometry import inverse, se2
 from rbtm_bench.guess.odometry import Odometry
 from rbtm_bench.metrics.ape import Ape
 from rbtm_bench.odometry import odometry
+from rbtm_bench.pairs import Pair, register_all
 from rbtm_bench.pairstore import PairStore
 from rbtm_bench.selection.base import Candidate, Trial
 from rbtm_bench.selection.oracle import Oracle, rms_displacement
 from rbtm_bench.selection.rbtm import Rbtm
 from rbtm_bench.settings import compose_settings
+from rbtm_bench.similarity.base import Similarity
 from rbtm_bench.trajectory import Trajectory
 from rbtm_bench.types import Array, Node, RegistrationResult, Scan
-from rbtm_bench.workbench import Workbench
+from rbtm_bench.workbench import SharedSimilarity, Workbench
 
 POINTS = np.array([[2.0, 0, 0], [0, 2.0, 0], [-2.0, 0, 0], [0, -2.0, 0]])
 
@@ -160,6 +165,47 @@ def test_nothing_else_sees_the_truth(selector) -> None:
 
     found = list(odometry(driven(4), method(Spy(), selector, Peek(otherwise=0.9), Hint())))
     assert len(found) == 4 and met.count("backend") == met.count("guess") == 4
+
+
+class Blind(Similarity):
+    def __init__(self) -> None:
+        self.met = 0
+
+    def describe(self, scan):
+        self.met += 1
+        assert scan.ground_truth is None
+        return np.array([float(scan.index)])
+
+    def scores(self, window, descriptor):
+        return np.ones(len(window))
+
+
+def test_nor_does_a_similarity_outside_of_the_loop() -> None:
+    """Shared by the runs of a grid, as a matrix, as a run's picture, in a calibration."""
+    data, blind = Corridor(scans=3, beams=31), Blind()
+    assert data[0].ground_truth is not None
+    SharedSimilarity(blind, data)
+    assert blind.met == 3
+    scorematrix.compute(data, blind, None, 100.0)
+    assert blind.met == 7  # the first scan's twice, to know what it needs
+    similarity_matrix(data, blind)
+    assert blind.met == 10
+    kept = _Kept()
+    kept.dataset = data
+    kept.item(1, blind.describe)
+    assert blind.met == 11
+
+
+def test_nor_does_a_backend_in_a_study_of_pairs() -> None:
+    class Spy(Perfect):
+        def prepare(self, scan):
+            assert scan.ground_truth is None
+            return super().prepare(scan)
+
+    target, source = driven(2)
+    pair = Pair(target, source, inverse(target.ground_truth) @ source.ground_truth, None)
+    (found,) = register_all(Spy(), [pair], [np.eye(4)])
+    assert found.metres == pytest.approx(0.0, abs=1e-12)
 
 
 # in a run
