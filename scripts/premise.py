@@ -249,7 +249,11 @@ def _wanted(places: list[Place], names: str | None) -> list[Place]:
     for name in wanted:
         if name not in known:
             raise ConfigError(f"--places {name}: no such data here. Known: {', '.join(known)}")
-    return [known[name] for name in wanted]
+    found = [known[name] for name in wanted]
+    for place in found:
+        if not place.kind.seeds and sum(other.kind == place.kind for other in found) < 2:
+            raise ConfigError(f"--places {names}: {place.name} has no other log to choose by")
+    return found
 
 
 def sharing(places: list[Place], folder: Path | None) -> list[Place]:

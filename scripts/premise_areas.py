@@ -69,7 +69,7 @@ def data_sets(folder: Path | None) -> dict[str, tuple[str, list[str]]]:
 
 def calibrated(folder: Path, words: list[str], options: argparse.Namespace) -> pd.DataFrame:
     """The areas of a data set; those that are there stay. Raises ``DataError`` if it failed."""
-    if options.fresh or not (folder / "roc.csv").is_file():
+    if options.fresh or not _is_there(folder, options.backends):
         asked = ["calibrate", f"similarity={','.join(SIMILARITIES)}", *words]
         asked += [f"backend={options.backends}", "overwrite=true"]
         asked += ["--out", str(folder), "--jobs", str(options.jobs)]
@@ -80,6 +80,15 @@ def calibrated(folder: Path, words: list[str], options: argparse.Namespace) -> p
             raise DataError(f"rbtm-bench {' '.join(asked)}: exit code {code}")
     found = pd.read_csv(folder / "roc.csv")
     return found[(found["pairs"] == "gap") & (found["part"] == "all")]
+
+
+def _is_there(folder: Path, backends: str) -> bool:
+    """Whether the folder holds the areas of these backends and of all similarities."""
+    if not (folder / "roc.csv").is_file():
+        return False
+    found = pd.read_csv(folder / "roc.csv")
+    whole = set(SIMILARITIES) <= set(found["predictor"])
+    return whole and set(found["backend"]) == set(backends.split(","))
 
 
 def area_table(table: pd.DataFrame, compared: str) -> str:

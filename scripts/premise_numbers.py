@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -69,8 +69,16 @@ class Errors:
     def minus(self, other: Errors) -> tuple[Interval, float | None]:
         """The interval of the paired differences, and p of the signed-rank test over seeds."""
         off = self.values - other.values
-        found = Errors(off, self.clusters, self.strata, self.median).interval()
+        found = replace(self, values=off).interval()
         return found, statistics.signed_rank(off[~np.isnan(off)]) if self.median else None
+
+    def beside(self, other: Errors) -> float:
+        """Median or mean over what the other has as well."""
+        return replace(self, values=np.where(np.isnan(other.values), np.nan, self.values)).value
+
+    def lacks(self, other: Errors) -> bool:
+        """Whether there is an error that the other has and this one has not."""
+        return bool((np.isnan(self.values) & ~np.isnan(other.values)).any())
 
 
 def read(folder: Path, names: Sequence[str]) -> list[Run]:
@@ -113,6 +121,8 @@ def _of_segments(run: Run) -> Errors:
     """The translation error (m) of the motion over the next 10 m, from every keyframe."""
     estimate = Trajectory.read_tum(run.path / "trajectory.tum").T_world_scan
     truth = Trajectory.read_tum(run.path / "ground_truth.tum").T_world_scan
+    if len(estimate) != len(truth):
+        raise DataError(f"{run.path}: {len(estimate)} poses, {len(truth)} true ones: expected both")
     return segments(estimate, truth)
 
 
@@ -216,7 +226,8 @@ def table(found: Mapping[Key, Outcome]) -> pd.DataFrame:
 def against(found: Mapping[Key, Outcome], ours: str = "rbtm") -> pd.DataFrame:
     """A row a place, backend and other strategy: rbtm minus it, paired. ``holds`` says "better" or
     "worse" where the interval excludes 0 and, over seeds, the signed-rank test adjusted for all
-    comparisons of a place and backend (Holm) is below 0.05."""
+    comparisons of a place and backend (Holm) is below 0.05; never of a side of which a run failed
+    where the other's did not."""
     rows: list[dict[str, Any]] = []
     for place, backend in dict.fromkeys((p, b) for p, b, s in found if s == ours):
         here: list[dict[str, Any]] = []
@@ -229,13 +240,17 @@ def against(found: Mapping[Key, Outcome], ours: str = "rbtm") -> pd.DataFrame:
                 continue
             over, p = mine.minus(theirs)
             row = {"place": place, "backend": backend, "strategy": strategy}
-            row |= {"rbtm": mine.value, "other": theirs.value, "difference": over.value}
-            row |= {"low": _number(over.low), "high": _number(over.high), "n": over.n, "p": p}
-            here.append({**row, "tested": mine.median, "excludes": over.excludes(0)})
+            row |= {"rbtm": mine.beside(theirs), "other": theirs.beside(mine)}
+            row |= {"difference": over.value, "low": _number(over.low), "high": _number(over.high)}
+            winner, loser = (mine, theirs) if over.value < 0 else (theirs, mine)
+            # the runs that failed are not in the difference: their side is not called better
+            sure = over.excludes(0) and not winner.lacks(loser)
+            here.append({**row, "n": over.n, "p": p, "tested": mine.median, "sure": sure})
         for row, p in zip(here, statistics.holm([row["p"] for row in here]), strict=True):
-            sure = row.pop("excludes") and (not row.pop("tested") or (p or 1.0) < SIGNIFICANT)
+            tested = row.pop("tested")
+            holds = row.pop("sure") and (not tested or (p is not None and p < SIGNIFICANT))
             row["p_holm"] = math.nan if p is None else p
-            row["holds"] = ("better" if row["difference"] < 0 else "worse") if sure else ""
+            row["holds"] = ("better" if row["difference"] < 0 else "worse") if holds else ""
         rows += here
     return pd.DataFrame(rows)
 
@@ -272,9 +287,9 @@ def pooled_share(found: Mapping[Key, Outcome], ours: str, bound: str = "oracle")
             gains.append(logs[0] - logs[2])
     if not ways:
         return Interval(math.nan, None, None, 0)
-    way, gain = (np.nanmean(np.stack(rows), axis=0) for rows in (ways, gains))
-    there = ~np.isnan(way + gain)
-    way, gain, n = way[there], gain[there], int(there.sum())
+    way, gain = np.stack(ways), np.stack(gains)
+    there = ~np.isnan(way + gain).any(axis=0)  # seeds of which no run has failed
+    way, gain, n = way[:, there].mean(axis=0), gain[:, there].mean(axis=0), int(there.sum())
     value = float(way.mean() / gain.mean()) if n and gain.mean() > 0 else math.nan
     if n < statistics.FEWEST:
         return Interval(value, None, None, n)

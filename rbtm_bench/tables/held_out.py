@@ -86,10 +86,18 @@ def choose_on(runs: Sequence[Run], key: str, values: Sequence[str]) -> list[Meth
     The runs that choose for a data set are those on a data set of that name (other seeds of a
     place), and where there are none, all of them.
 
-    Raises ``ConfigError`` for a key or a value that no run has, and if nothing is left to show.
+    Raises ``ConfigError`` for a key or a value that no run has, if nothing is left to show, and if
+    runs that choose are on the very data that others show (a log has no seeds).
     """
     words = f"{key}={','.join(values)}"
     choosing, shown = _split(runs, key, values, words)
+    twice = {fingerprint(run) for run in choosing} & {fingerprint(run) for run in shown} - {None}
+    if twice:
+        same = next(run for run in shown if fingerprint(run) in twice)
+        raise ConfigError(
+            f"--choose-on {words}: settings would be chosen on the very data of {same.path.name}, "
+            f"which is shown ({key} changes nothing there): expected runs on other data"
+        )
     found = _Sorted(choosing, shown)
     chosen = []
     for data in found.shown:
@@ -98,6 +106,12 @@ def choose_on(runs: Sequence[Run], key: str, values: Sequence[str]) -> list[Meth
             own = [data] if data in there else there
             chosen.append(_choose(found, settings, data, own, words))
     return _in_order(chosen)
+
+
+def fingerprint(run: Run) -> str | None:
+    """Of the run's data; None if it is not known."""
+    found = run.record.get("dataset_fingerprint")
+    return str(found) if found else None
 
 
 def parse(word: str) -> tuple[str, list[str]]:

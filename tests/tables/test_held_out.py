@@ -356,3 +356,11 @@ def test_mistakes_on_the_command_line(seeds: Path, words: list[str], why: str, c
     assert main(["table", str(seeds), *words]) == 2
     error = capsys.readouterr().err
     assert why in error and len(error.splitlines()) == 1
+
+
+def test_the_data_shown_cannot_choose(tmp_path: Path) -> None:
+    for seed in (0, 1):  # a log has no seeds: the same data twice
+        make_run(tmp_path / f"r{seed}", "random_gap", {MM: 1.0}, seed=seed, fingerprint="log")
+    runs = results.find_runs([tmp_path])
+    with pytest.raises(ConfigError, match="chosen on the very data of r0.*seed changes nothing"):
+        held_out.choose_on(runs, "seed", ["1"])
