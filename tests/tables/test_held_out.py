@@ -362,5 +362,5 @@ def test_the_data_shown_cannot_choose(tmp_path: Path) -> None:
     for seed in (0, 1):  # a log has no seeds: the same data twice
         make_run(tmp_path / f"r{seed}", "random_gap", {MM: 1.0}, seed=seed, fingerprint="log")
     runs = results.find_runs([tmp_path])
-    with pytest.raises(ConfigError, match="chosen on the very data of r0.*seed changes nothing"):
+    with pytest.raises(ConfigError, match=r"chosen on the very data of r0.*seed changes nothing"):
         held_out.choose_on(runs, "seed", ["1"])
