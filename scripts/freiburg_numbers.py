@@ -104,19 +104,44 @@ def table(chosen: Mapping[Key, MethodRuns]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def transfer(chosen: Mapping[Key, MethodRuns], runs: Sequence[Run]) -> pd.DataFrame:
+    """What choosing elsewhere costs: by log and way the geometric mean over backends of the error
+    of the setting chosen on the other logs over that of the best try on this one."""
+    by_stem: dict[str, list[float]] = {}
+    for run in runs:
+        error = run.metrics.get(ERRORS["mean_m"]) if run.done else None
+        if error:
+            by_stem.setdefault(run.path.name.rpartition("-")[0], []).append(float(error))
+    logs: dict[tuple[str, str], list[float]] = {}
+    for (log, backend, way), method in chosen.items():
+        tries = by_stem.get(f"{log}-{backend}-{way}", [])
+        error = method.row.get(ERRORS["mean_m"])
+        if backend not in (NOTHING, SYSTEM) and error and tries:
+            logs.setdefault((log, way), []).append(math.log(error / min(tries)))
+    return pd.DataFrame(
+        [
+            {
+                "log": LOGS[log],
+                "way": way,
+                "backends": len(found),
+                "times": math.exp(np.mean(found)),
+            }
+            for (log, way), found in logs.items()
+        ],
+        columns=["log", "way", "backends", "times"],
+    )
+
+
 SMALL = ("log", "backend", "way", "setting", "tried", "equal", "chosen_on", "status")
 
 
 def small(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with four digits of what does not depend on the machine's mood, and the time with
-    two."""
+    """The table with four digits, without times: they depend on the machine's mood."""
     names = [c for c in table if str(c).startswith(tuple(ERRORS)) or c in ("coverage", "mean_gap")]
     found = table[[*SMALL, *names]].copy()
-    digits = {name: 4 for name in names if not str(name).endswith("_n")} | {"ms_per_scan": 2}
-    found["ms_per_scan"] = table["ms_per_scan"]
-    for name, count in digits.items():
+    for name in (name for name in names if not str(name).endswith("_n")):
         values = found[name].astype(float)
-        found[name] = [v if math.isnan(v) else float(f"{v:.{count}g}") for v in values]
+        found[name] = [v if math.isnan(v) else float(f"{v:.4g}") for v in values]
     return found
 
 

@@ -7,8 +7,8 @@ model scan, settings chosen on the other two logs, relations split local / long.
 The logs are looked for in RBTM_BENCH_DATA or --data: aces.clf.gz, aces.relations, intel...,
 mit-csail..., in that folder or in freiburg/ below it. Leaves results/freiburg/README.md (what was
 found, in words computed from the numbers), table.md, table.csv, differences.csv (RBTM against each
-control, with each backend) and pooled.csv (over all backends). A run that was cut goes on where
-it was; --fresh starts anew.
+control, with each backend), pooled.csv (over all backends) and transfer.csv (what choosing
+elsewhere costs). A run that was cut goes on where it was; --fresh starts anew.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import freiburg_numbers as numbers
-from freiburg_plan import NOTHING, SLOW, SYSTEM, Plan, Size, find_logs, make_size
+from freiburg_plan import NOTHING, SLOW, SYSTEM, Plan, find_logs, make_size
 from freiburg_words import Found, final_lines, markdown, readme
 
 from rbtm_bench import comparison, results, sweeps
@@ -58,13 +58,13 @@ def read_runs(plan: Plan, folder: Path) -> list[Run]:
     return [results.read_run(folder / point.name) for point in points]
 
 
-def write(found: Found, size: Size, out: Path, command: str, runs: Sequence[Run]) -> list[Path]:
-    """The pages and tables; returns the files."""
-    page = readme(found, size, command, runs[0].record.get("versions") or sweeps.versions())
+def write(found: Found, page: str, out: Path) -> list[Path]:
+    """The page and the tables; returns the files."""
     texts = {
         "table.csv": found.table.to_csv(index=False),
         "differences.csv": found.differences.to_csv(index=False),
         "pooled.csv": found.pooled.to_csv(index=False),
+        "transfer.csv": found.transfer.to_csv(index=False),
         "table.md": markdown(found.table) + "\n",
         "README.md": page,
     }
@@ -97,10 +97,13 @@ def study(plan: Plan, options: argparse.Namespace, command: str) -> int:
         numbers.table(chosen),
         numbers.differences(chosen, plan.size.backends),
         numbers.pooled(chosen, plan.size.backends),
+        numbers.transfer(chosen, runs),
     )
-    files = write(found, plan.size, options.out, command, runs)
+    versions = runs[0].record.get("versions") or sweeps.versions()
+    files = write(found, readme(found, plan.size, command, versions), options.out)
     if options.reference:
-        write_reference(found, files[-1].read_text("utf-8"), options.reference)
+        page = readme(found, plan.size, command, versions, times=False)
+        write_reference(found, page, options.reference)
     print("\n".join(map(str, files)))
     for name, reason in failed.items():
         print(f"failed: {name}: {reason}", file=sys.stderr)

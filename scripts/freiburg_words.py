@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 from freiburg_numbers import CONTROLS
-from freiburg_plan import LOGS, NOTHING, OF_SYSTEM, SYSTEM, WAYS, WINDOW, Size
+from freiburg_plan import LOGS, NOTHING, OF_SYSTEM, SLOW, SYSTEM, WAYS, WINDOW, Size
 
 from rbtm_bench import tables
 from rbtm_bench.tables import with_intervals
@@ -29,13 +29,20 @@ class Found:
     table: pd.DataFrame
     differences: pd.DataFrame
     pooled: pd.DataFrame
+    transfer: pd.DataFrame
 
 
-def readme(found: Found, size: Size, command: str, versions: Mapping[str, str | None]) -> str:
-    """The page: what was compared, what was found, the whole table, how it was made."""
+def readme(
+    found: Found,
+    size: Size,
+    command: str,
+    versions: Mapping[str, str | None],
+    times: bool = True,
+) -> str:
+    """The page: what was compared, what was found, the whole table (with or without times), and
+    how it was made."""
     parts = [
         "# The Freiburg logs: which model scan?",
-        f"Made by `{command}`. {_versions(versions)}",
         *_setup(size),
         "## Medians over backends",
         *medians(found.table),
@@ -44,11 +51,14 @@ def readme(found: Found, size: Size, command: str, versions: Mapping[str, str | 
         "## By backend",
         _legend(),
         *_by_backend(found.differences),
+        "## What choosing elsewhere costs",
+        *_transfer(found.transfer),
         "## All rows",
-        *_about_rows(found.table),
-        markdown(found.table),
+        *_about_rows(found.table, times),
+        markdown(found.table, times),
         "## What this does not show",
-        *_limits(found),
+        *_limits(),
+        f"Made by `{command}`. {_versions(versions)}",
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -80,7 +90,8 @@ def _setup(size: Size) -> list[str]:
         "their mean relation errors (docs/statistics.md).",
     ]
     if size.left_out:
-        lines.append(f"Left out: {', '.join(size.left_out)}.")
+        names = [f"{name} ({SLOW[name]})" if name in SLOW else name for name in size.left_out]
+        lines.append(f"Left out: {', '.join(names)}.")
     return lines
 
 
@@ -213,13 +224,36 @@ def _cell(row: object) -> str:
     return "" if math.isnan(ratio) else tables.three_digits(ratio) + MARKS[verdict]
 
 
-def _about_rows(table: pd.DataFrame) -> list[str]:
+def _transfer(transfer: pd.DataFrame) -> list[str]:
+    """How well the settings of each way carry over to another log."""
+    if transfer.empty:
+        return []
+    wide = transfer.pivot(index="way", columns="log", values="times")
+    wide = wide.reindex(index=transfer["way"].unique(), columns=transfer["log"].unique())
+    rows = wide.map(lambda x: "" if math.isnan(x) else tables.three_digits(x)).reset_index()
+    worst = transfer.loc[transfer["times"].idxmax()]
+    return [
+        "Mean relation error with the setting chosen on the other logs over that of the best try "
+        "on the log itself, geometric mean over backends. 1 would be a choice that could not be "
+        "better; the best try is lucky as well as good.",
+        tables.render(rows, "md"),
+        f"The settings of `{worst['way']}` carry over worst, to {worst['log']}: "
+        f"{tables.three_digits(worst['times'])} times the error of its best try there. Gaps and "
+        "windows are counted in scans, and the robots move differently far between two.",
+    ]
+
+
+def _about_rows(table: pd.DataFrame, times: bool) -> list[str]:
     lines = [
         "Mean [95% interval over place-time clusters] (clusters). equal: settings among those "
-        "tried with the very same score on the other logs. ms: time a scan of one core, as if "
-        "nothing had been shared; other work ran on the machine, so read it as a ratio. "
-        "table.csv has every digit, and the rotation of local and long relations."
+        "tried with the very same score on the other logs."
     ]
+    if times:
+        lines[0] += (
+            " ms: time a scan of one core, as if nothing had been shared; other work may have run "
+            "on the machine, so read it as a ratio. table.csv has every digit, and the rotation of "
+            "local and long relations."
+        )
     failed = table[table["status"] != "done"]
     if len(failed):
         names = [f"{r.log} {r.backend} {r.way} ({r.reason})" for r in failed.itertuples()]
@@ -235,7 +269,7 @@ SHOWN = {
 }
 
 
-def markdown(table: pd.DataFrame) -> str:
+def markdown(table: pd.DataFrame, times: bool = True) -> str:
     """The table with its intervals folded in, as Markdown."""
     found = with_intervals.folded(table)
     found["tried"] = [f"{r.tried}, {r.equal} equal" if r.equal > 1 else r.tried for r in
@@ -243,11 +277,11 @@ def markdown(table: pd.DataFrame) -> str:
     found["coverage"] = found["coverage"].astype(float).round(3)
     found["ms"] = found["ms_per_scan"].astype(float).round(2)
     names = ["log", "backend", "way", "setting", "tried", "chosen_on", "status", *SHOWN]
-    names += ["coverage", "mean_gap", "ms"]
+    names += ["coverage", "mean_gap", *(["ms"] if times else [])]
     return tables.render(found[names].rename(columns=SHOWN), "md")
 
 
-def _limits(found: Found) -> list[str]:
+def _limits() -> list[str]:
     return [
         "- Three logs of planar lasers indoors, one guess, one kind of target, no check and no "
         "loop closure: the numbers are not those of a SLAM system.\n"

@@ -5,7 +5,8 @@ chance and the truth, on simulated places and on logs.
     python scripts/premise.py --quick        3 seeds, the first scans of each log; minutes
 
 Every strategy has four settings to choose from, on seeds that are not shown or on the other logs.
-random_gap draws from the gaps of the RBTM run beside it: same gaps, without similarity. oracle
+random_gap and random_gap_overlap draw from the gaps of the RBTM beside them: as far back, without
+similarity. oracle
 registers the whole window and keeps what the truth likes best. Leaves results/premise/README.md
 (in words computed from the numbers), table.md, table.csv, against.csv, shares.csv and figures. The
 logs are looked for in RBTM_BENCH_DATA or --data (freiburg/ and corrected/); --no-logs leaves them
@@ -30,6 +31,7 @@ from premise_numbers import Key, Outcome
 from premise_plan import (
     BACKENDS,
     BOUNDS,
+    CHANCE,
     RBTM,
     STRATEGIES,
     Kind,
@@ -47,14 +49,13 @@ from rbtm_bench import comparison
 from rbtm_bench.campaign import Campaign, begin
 from rbtm_bench.cli import guarded
 from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.files import write_text
+from rbtm_bench.files import make_folder, write_text
 from rbtm_bench.grid import Point
 
 OUT = Path("results/premise")
 DATA = "RBTM_BENCH_DATA"
 DRAWS = tuple(range(5))
-"""Seeds of random_gap on a log."""
-RANDOM = "random_gap"
+"""Seeds of random gaps on a log."""
 
 
 @dataclass(frozen=True)
@@ -65,9 +66,11 @@ class Study:
     tries: dict[Key, list[Try]]
 
     def chosen_among(self) -> Iterable[tuple[Key, list[Try]]]:
-        """What has something to choose; random_gap takes rbtm's choice."""
+        """What has something to choose; random gaps take the choice of the RBTM beside them."""
         return (
-            (k, found) for k, found in self.tries.items() if k[2] in STRATEGIES and k[2] != RANDOM
+            (key, found)
+            for key, found in self.tries.items()
+            if key[2] in STRATEGIES and key[2] not in CHANCE
         )
 
 
@@ -86,7 +89,7 @@ def choosing_seeds(kind: Kind) -> tuple[int, ...]:
 def shown_seeds(kind: Kind, strategy: str) -> tuple[int, ...]:
     if kind.seeds:
         return kind.seeds[1]
-    return DRAWS if strategy == RANDOM else ()
+    return DRAWS if strategy in CHANCE else ()
 
 
 def first_runs(study: Study) -> list[Point]:
@@ -117,7 +120,7 @@ def choose(study: Study, folder: Path) -> dict[Key, tuple[Try, int, str]]:
             chosen[key] = (group[0], 1, "")
             continue
         kind = group[0].place.kind
-        own = "rbtm" if strategy == RANDOM else strategy
+        own = CHANCE.get(strategy, strategy)
         others = (
             [place] if kind.seeds else [p.name for p in study.places.values() if p.kind == kind]
         )
@@ -212,6 +215,7 @@ def study_all(study: Study, options: argparse.Namespace, command: str) -> int:
 
 def write_reference(tables: Found, page: str, figures: Sequence[Path], folder: Path) -> None:
     """The page, a table without times, and the pictures, to be committed."""
+    make_folder(folder)
     small = tables.table.drop(columns=["ms_per_scan"])
     numeric = small.select_dtypes("float").columns
     small[numeric] = small[numeric].map(lambda value: float(f"{value:.4g}"))

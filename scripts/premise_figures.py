@@ -22,6 +22,9 @@ LOOKS = {
     "plicp": Look(style.BLACK, "-", 1.0, "s", filled=True),
 }
 SPARE = Look("0.45", "-", 1.0, "^")
+SHOWN = ("rbtm", "rbtm_overlap")
+LEAST = -3.0
+"""Shares below are drawn there."""
 ROW = 0.19
 """Height of a strategy, inches."""
 APART = 0.22
@@ -90,28 +93,28 @@ def _error_panel(
 
 
 def _shares(table: pd.DataFrame, names: dict[str, str]) -> Figure:
-    """The share of the way from random_gap to the oracle that RBTM covers."""
-    here = table[(table["strategy"] == "rbtm")]
+    """The share of the way from random gaps to the oracle that RBTM covers."""
+    here = table[(table["bound"] == "oracle") & table["strategy"].isin(SHOWN)]
     places = [name for name in names if name in set(here["place"])]
     backends = list(dict.fromkeys(here["backend"]))
-    bounds = list(dict.fromkeys(here["bound"]))
     figure = Figure(figsize=(style.DOUBLE, len(places) * ROW * 1.3 + 1.2))
-    grid = figure.subplots(1, len(bounds), sharey=True, sharex=True, squeeze=False)
-    for ax, bound in zip(grid.ravel(), bounds, strict=True):
-        rows = here[here["bound"] == bound]
+    grid = figure.subplots(1, len(SHOWN), sharey=True, sharex=True, squeeze=False)
+    for ax, strategy in zip(grid.ravel(), SHOWN, strict=True):
+        rows = here[here["strategy"] == strategy]
         for i, place in enumerate(places):
             for j, backend in enumerate(backends):
                 y = i + APART * (j - (len(backends) - 1) / 2)
                 _one_share(ax, rows[(rows.place == place) & (rows.backend == backend)], y)
         ax.axvline(0.0, color="0.35", lw=0.8)
         ax.axvline(1.0, color="0.35", lw=0.8, ls=(0, (1, 1.5)))
-        ax.set_title(f"bound: {bound}")
-        ax.set_xlabel("share of the way covered by rbtm")
+        ax.set_title(strategy)
+        ax.set_xlabel("share of the way covered")
         ax.set_yticks(range(len(places)), [names[name] for name in places])
         ax.set_ylim(len(places) - 0.4, -0.6)
-        ax.set_xlim(-3.0, 1.5)
+        ax.set_xlim(LEAST - 0.1, 1.6)
     handles = [panels.handle(b, **{**look(b).line, **look(b).mark}) for b in backends]
-    figure.suptitle("0: a random gap of rbtm's own gaps; 1: what the truth chooses (95% intervals)")
+    title = "0: the method's own gaps in random order; 1: what the truth chooses"
+    figure.suptitle(f"{title}; 95% intervals, cut at {LEAST:g}")
     style.legend_below(figure, handles, 4)
     return figure
 
@@ -120,9 +123,9 @@ def _one_share(ax: Axes, rows: pd.DataFrame, y: float) -> None:
     for _, row in rows.iterrows():
         if np.isfinite(row["share"]):
             own = look(str(row["backend"]))
-            low, high = np.clip([row["low"], row["high"]], -3.0, 1.5)
+            low, value, high = np.clip([row["low"], row["share"], row["high"]], LEAST, 1.5)
             ax.plot([low, high], [y, y], color=own.colour, lw=1.0, zorder=2)
-            ax.plot([row["share"]], [y], **{**own.mark, "ms": 3.5, "mew": 0.8}, ls="", zorder=3)
+            ax.plot([value], [y], **{**own.mark, "ms": 3.5, "mew": 0.8}, ls="", zorder=3)
 
 
 def look(backend: str) -> Look:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from premise_plan import BOUNDS, NOTHING, RBTM, SIMULATED, STRATEGIES, Kind, Try
+from premise_plan import BOUNDS, CHANCE, NOTHING, RBTM, SIMULATED, STRATEGIES, Kind, Try
 
 from rbtm_bench import statistics
 from rbtm_bench.errors import DataError
@@ -259,17 +259,22 @@ def shares(found: Mapping[Key, Outcome], bound: str = "oracle") -> pd.DataFrame:
     """A row a place, backend and method between chance and the bound: ``share``."""
     rows = []
     for place, backend in dict.fromkeys((p, b) for p, b, s in found if s == bound):
-        ends = [found[place, backend, name].errors for name in ("random_gap", bound)]
         for strategy in RBTM:
+            ends = [found[place, backend, name].errors for name in (chance_of(strategy), bound)]
             mine = found[place, backend, strategy].errors
             if mine is None or ends[0] is None or ends[1] is None:
                 continue
             over = share(ends[0], mine, ends[1])
             row = {"place": place, "backend": backend, "strategy": strategy, "bound": bound}
-            row |= {"random_gap": ends[0].value, "error": mine.value, "oracle": ends[1].value}
+            row |= {"random": ends[0].value, "error": mine.value, "oracle": ends[1].value}
             row |= {"share": over.value, "low": _number(over.low), "high": _number(over.high)}
             rows.append({**row, "n": over.n})
     return pd.DataFrame(rows)
+
+
+def chance_of(ours: str) -> str:
+    """The random gaps of an RBTM: its own, or those of the same similarity without a check."""
+    return next((name for name, of in CHANCE.items() if of == ours), "random_gap")
 
 
 def pooled_share(found: Mapping[Key, Outcome], ours: str, bound: str = "oracle") -> Interval:
@@ -280,7 +285,7 @@ def pooled_share(found: Mapping[Key, Outcome], ours: str, bound: str = "oracle")
     for place, backend, strategy in found:
         if strategy != bound or found[place, backend, bound].one.place.kind.name != SIMULATED:
             continue
-        three = [found[place, backend, name].errors for name in ("random_gap", ours, bound)]
+        three = [found[place, backend, name].errors for name in (chance_of(ours), ours, bound)]
         if all(three):
             logs = [np.log(np.maximum(one.values, LEAST)) for one in three if one]
             ways.append(logs[0] - logs[1])

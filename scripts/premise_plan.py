@@ -17,7 +17,13 @@ from rbtm_bench.settings import Settings, shown
 BACKENDS = ("open3d_p2p", "open3d_p2plane", "plicp")
 RBTM = ("rbtm", "rbtm_verified", "rbtm_overlap")
 """With the circular curvature, the same with a check, and with the overlap under the guess."""
-STRATEGIES = ("previous", "keyframe", "fixed_gap", "random_gap", "best", *RBTM)
+CHANCE = {
+    "random_gap": "rbtm",
+    "random_gap_overlap": "rbtm_overlap",
+}
+"""The gaps of an RBTM's chosen runs in random order; it has that RBTM's setting, and no choice of
+its own: so the two differ in what similarity chooses, not in how far back."""
+STRATEGIES = ("previous", "keyframe", "fixed_gap", "best", *CHANCE, *RBTM)
 """The methods; each may choose among four settings."""
 BOUNDS = ("oracle", "oracle_pose")
 """They see the truth: no methods, and nothing to choose."""
@@ -44,17 +50,18 @@ def tries_of(
     thresholds: Sequence[float],
 ) -> Tries:
     """Four tries each. The scan before has nothing of its own to choose, so it gets the matcher's
-    correspondence distance (m); random_gap draws from the gaps of rbtm's tries."""
+    correspondence distance (m)."""
     threshold = ("selector.threshold", tuple(thresholds))
     return {
         "previous": ("registration.max_correspondence_distance", tuple(distances)),
         "keyframe": ("selector.distance", tuple(keyframes)),
         "fixed_gap": ("selector.gap", tuple(gaps)),
-        "random_gap": threshold,
         "best": ("selector.window", tuple(windows)),
         "rbtm": threshold,
         "rbtm_verified": threshold,
         "rbtm_overlap": ("selector.threshold", OVERLAPS),
+        "random_gap": threshold,
+        "random_gap_overlap": ("selector.threshold", OVERLAPS),
     }
 
 
@@ -201,22 +208,22 @@ def _of_strategy(place: Place, backend: str, strategy: str, window: str) -> Iter
         words += [f"selector={strategy}", window]
     elif strategy == "rbtm_overlap":
         words += ["selector=rbtm", "similarity=overlap", window]
-    elif strategy == "random_gap":  # composed beside the run that it draws from
+    elif strategy in CHANCE:  # composed beside the run that it draws from
         words += ["selector=rbtm,random_gap", window]
+        words += ["similarity=overlap"] if CHANCE[strategy] == "rbtm_overlap" else []
     else:
         words += [f"selector={strategy}"]
     points = _compose(place, *words)
     by_name = {point.name: point for point in points}
     for point in points:
         source = by_name.get(point.gaps_of or "")
-        if strategy == "random_gap" and source is None:
+        if strategy in CHANCE and source is None:
             continue
         overrides = (source or point).settings.overrides
         k = next(i for i, v in enumerate(values) if f"{knob}={shown(v)}" in overrides)
         found = Try(place, backend, strategy, k, point.settings, f"{knob}={shown(values[k])}")
         if source is not None:
-            rbtm = replace(found, strategy="rbtm")
-            found = replace(found, source=rbtm.stem)
+            found = replace(found, source=replace(found, strategy=CHANCE[strategy]).stem)
         yield found
 
 
@@ -228,7 +235,7 @@ def _compose(place: Place, *words: str) -> list[Point]:
 
 
 def points(one: Try, seeds: Sequence[int]) -> list[Point]:
-    """The runs of a try, a seed each; on a log, where only random_gap is random, without any."""
+    """The runs of a try, a seed each; on a log, where only random gaps are random, without any."""
     if not seeds:
         return [Point(one.stem, one.settings, one.source)]
     found = []

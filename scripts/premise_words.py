@@ -132,14 +132,14 @@ def _share(row: Any) -> str:
     return f"{row['share']:.2f} [{row['low']:.2f}, {row['high']:.2f}]"
 
 
-def share_words(shares: pd.DataFrame) -> str:
+def share_words(shares: pd.DataFrame, ours: str = "rbtm") -> str:
     """How many intervals lie above 0, below 0, or hold it."""
-    here = shares[(shares["strategy"] == "rbtm") & (shares["n"] >= FEWEST)]
+    here = shares[(shares["strategy"] == ours) & (shares["n"] >= FEWEST)]
     there = here[here["share"].notna()]
     above, below = int((there["low"] > 0).sum()), int((there["high"] < 0).sum())
     return (
         f"of {len(here)} pairs of data and backend {len(here) - len(there)} leave no way to cover "
-        f"(the bound is not surely better than a random gap); of the other {len(there)} RBTM is "
+        f"(the bound is not surely better than a random gap); of the other {len(there)} {ours} is "
         f"above chance in {above}, below it in {below}, and neither in {len(there) - above - below}"
     )
 
@@ -211,7 +211,8 @@ def readme(found: Found, places: Mapping[str, Place], command: str, figures: Seq
         "# Does similarity choose the model scan better than chance at the same gap?",
         f"Made by `{command}`. Every strategy had four settings to choose from: on seeds that are "
         "not shown, or, for logs, on the other two logs. The guess is odometry for all. "
-        "`random_gap` draws its gaps from the RBTM run beside it. `oracle` registers the whole "
+        "`random_gap` and `random_gap_overlap` draw their gaps from `rbtm` and `rbtm_overlap`: as "
+        "far back, without similarity. `oracle` registers the whole "
         "window and keeps the registration nearest to the truth, `oracle_pose` the one whose pose "
         "ends nearest: bounds, no methods. `none` is the guess alone. `rbtm` reads the circular "
         "curvature, `rbtm_overlap` the overlap of the two scans under the guess; `rbtm_verified` "
@@ -220,8 +221,9 @@ def readme(found: Found, places: Mapping[str, Place], command: str, figures: Seq
         f"- Between chance and truth (oracle): {share_words(found.shares)}."
         if len(found.shares)
         else "- No data with a true pose for every scan: no bound.",
-        f"- To the oracle by pose: {share_words(found.pose_shares)}."
-        if len(found.pose_shares)
+        "- The same for RBTM with the overlap under the guess, and its own gaps: "
+        f"{share_words(found.shares, 'rbtm_overlap')}."
+        if len(found.shares)
         else "",
         "- RBTM against each other strategy, in how many pairs of data and backend it is surely "
         "better / surely worse / neither (paired intervals; over seeds also the signed-rank test, "
@@ -235,8 +237,9 @@ def readme(found: Found, places: Mapping[str, Place], command: str, figures: Seq
     ]
     if len(found.shares):
         parts += [
-            "## The share of the way from random_gap to oracle that RBTM covers",
-            "(random_gap - rbtm) / (random_gap - oracle) of medians over seeds or means over a log "
+            "## The share of the way from a random gap to the oracle",
+            "(random gap - method) / (random gap - oracle), the method's own gaps in random order "
+            "(for `rbtm_verified` those of `rbtm`), of medians over seeds or means over a log "
             "[95 % bootstrap interval over seeds or place-time clusters]. 0 is chance, 1 the "
             "oracle, below 0 worse than chance.",
             share_table(found, "oracle", places),

@@ -152,6 +152,8 @@ def test_every_strategy_has_equally_many_tries_and_chance_draws_rbtm_s_gaps() ->
     stems = {one.stem for one in found if one.strategy == "rbtm"}
     chance = [one for one in found if one.strategy == "random_gap"]
     assert {one.source for one in chance} == stems
+    overlap = next(one for one in found if one.strategy == "random_gap_overlap")
+    assert overlap.source == "paper-open3d_p2p-rbtm_overlap-1"
     (point,) = PLAN.points(chance[0], (3,))
     assert point.gaps_of == f"{chance[0].source}-3"
     assert point.settings.config["dataset"]["seed"] == 3
