@@ -28,7 +28,8 @@ from rbtm_bench import comparison
 from rbtm_bench.cli import guarded
 from rbtm_bench.cli import main as rbtm_bench
 from rbtm_bench.errors import DataError, RbtmBenchError
-from rbtm_bench.files import write_text
+from rbtm_bench.files import make_folder, write_text
+from rbtm_bench.sweeps import versions
 
 OUT = Path("results/premise")
 DATA = "RBTM_BENCH_DATA"
@@ -151,6 +152,7 @@ def page(table: pd.DataFrame, left_out: Sequence[str]) -> str:
         *(part for c, t in MOST.items() for part in (f"## Areas {t}", area_table(table, c))),
     ]
     parts += [f"Left out: {'; '.join(left_out)}."] if left_out else []
+    parts += ["Made with " + ", ".join(f"{name} {v}" for name, v in versions().items() if v) + "."]
     return "\n\n".join(parts) + "\n"
 
 
@@ -171,6 +173,9 @@ def study(sets: dict[str, tuple[str, list[str]]], options: argparse.Namespace) -
     table = pd.concat(tables, ignore_index=True)
     write_text(options.out / "areas.csv", table.to_csv(index=False))
     write_text(options.out / "areas.md", page(table, left_out))
+    if options.reference:
+        make_folder(options.reference)
+        write_text(options.reference / "premise_areas.md", page(table, left_out))
     print(options.out / "areas.md")
     print(count_table(table))
     return 1 if left_out else 0
@@ -186,6 +191,9 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", metavar="A,B", help="only these data sets, by name")
     parser.add_argument("--backends", metavar="A,B", default=",".join(BACKENDS))
     parser.add_argument("--jobs", "-j", type=int, default=comparison.default_jobs())
+    parser.add_argument(
+        "--reference", type=Path, metavar="FOLDER", help="leave premise_areas.md there, too"
+    )
     parser.add_argument("--fresh", action="store_true", help="keep nothing of an earlier call")
     parser.add_argument("--debug", action="store_true", help="errors with their whole traceback")
     options = parser.parse_args(words)

@@ -12,6 +12,7 @@ from premise_plan import BOUNDS, NOTHING, RBTM, STRATEGIES, Place
 from tabulate import tabulate
 
 from rbtm_bench.statistics import FEWEST, Interval
+from rbtm_bench.sweeps import versions
 
 CONTROLS = (NOTHING, "previous", "keyframe", "fixed_gap", "random_gap", "best")
 
@@ -261,5 +262,6 @@ def readme(found: Found, places: Mapping[str, Place], command: str, figures: Seq
         "undefined everywhere (two straight walls), so RBTM always falls back to the scan before.",
         "## Pictures",
         "\n\n".join(f"![{file.stem}]({file.name})" for file in figures),
+        "Made with " + ", ".join(f"{name} {v}" for name, v in versions().items() if v) + ".",
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
