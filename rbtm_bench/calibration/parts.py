@@ -37,6 +37,16 @@ def parts_of(stamps: Array, known: NDArray[np.bool_], plan: Plan) -> Index:
     return part
 
 
+def stretches(part: Index) -> Index:
+    """The number (N,) of the stretch of one part that every scan lies in, in the log's order; 0
+    for scans of no part."""
+    found = np.zeros(len(part), np.intp)
+    inside = np.flatnonzero(part >= 0)
+    changes = np.diff(part[inside]) != 0
+    found[inside[1:]] = np.cumsum(changes)
+    return found
+
+
 def evenly(count: int, at_most: int) -> Index:
     """At most so many of ``count`` positions, spread evenly."""
     if count <= at_most:

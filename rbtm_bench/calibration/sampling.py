@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rbtm_bench.calibration import guesses
-from rbtm_bench.calibration.parts import PARTS, clusters_of, evenly, parts_of
+from rbtm_bench.calibration.parts import PARTS, clusters_of, evenly, parts_of, stretches
 from rbtm_bench.calibration.plan import Plan
 from rbtm_bench.calibration.reference import Known, known_motions
 from rbtm_bench.calibration.track import Track, travelled
@@ -228,7 +228,9 @@ def _from_relations(
     group = np.append(edges, 0)[np.searchsorted(edges, gap)]
     far = translation_norm(known.T_target_source)
     near = [g for g in edges if np.any(group == g) and np.median(far[group == g]) <= track.reach]
+    stretch = stretches(part)  # a local relation may not span the other part's block either
     crosses = part[known.target] != part[known.source]
+    crosses |= known.local & (stretch[known.target] != stretch[known.source])
     single = known.links == 1
     counts["relations that mean no two scans"] = known.unmatched
     counts["relations that cross the cut"] = int((crosses & single).sum())

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from rbtm_bench.calibration.guesses import disturbed, motions
-from rbtm_bench.calibration.parts import CALIBRATION, REPORTED, clusters_of, evenly, parts_of
+from rbtm_bench.calibration.parts import (
+    CALIBRATION,
+    REPORTED,
+    clusters_of,
+    evenly,
+    parts_of,
+    stretches,
+)
 from rbtm_bench.calibration.plan import Plan
 from rbtm_bench.calibration.reference import known_motions
 from rbtm_bench.calibration.sampling import GAP, REVISIT, Sample, draw
@@ -206,6 +213,24 @@ def test_relations_that_cross_the_cut_are_of_no_part() -> None:
     assert sorted(set(sample.rows[sample.rows["kind"] == GAP]["group"])) == [2, 4]
     assert (sample.rows["kind"] == REVISIT).sum() == 2
     assert sorted(set(sample.windows["group"])) == [2, 4]
+
+
+def test_a_local_relation_does_not_span_a_block_of_the_other_part() -> None:
+    # blocks of 2 s, a scan a second: 0 and 1 calibrate, 2 and 3 report, 4 and 5 calibrate, ...
+    over = [(i, i + 4) for i in range(0, 96, 4)]  # ends of one part, the other's block between
+    inside = [(i, i + 1) for i in range(0, 98, 2)]
+    given = relations([*over, *inside])
+    log = replace(track(odometry=line()), truth=None, relations=given)
+    sample = draw(log, Plan(split="blocks", block_s=2.0))
+    assert sample.counts["relations that cross the cut"] == len(over)
+    rows = sample.rows
+    assert len(rows) > 0 and (rows["source"] - rows["target"] == 1).all()
+
+
+def test_stretches_count_the_changes_of_part() -> None:
+    part = np.array([-1, 0, 0, 1, -1, 1, 0, 0])
+    assert stretches(part).tolist() == [0, 0, 0, 1, 0, 1, 2, 2]
+    assert stretches(np.array([-1, -1])).tolist() == [0, 0]
 
 
 def test_what_is_resampled_together() -> None:
