@@ -78,6 +78,7 @@ class _Kept:
         if key == self.key:
             return
         if not self.key.startswith(data_key):
+            self.key = ""  # whatever fails from here on, nothing of before stands for it
             self.dataset = experiment.build(data)
         self.plugin, self.items, self.bytes, self.key = experiment.build(plugin), {}, 0.0, key
 

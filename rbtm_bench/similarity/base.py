@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.errors import ConfigError
+from rbtm_bench.errors import ConfigError, DataError
 from rbtm_bench.types import Array, Scan
 
 Descriptor = NDArray[Any]
@@ -108,3 +108,16 @@ def require_beams(dataset: Dataset, name: str) -> None:
             f"similarity={name} reads beams in the order of sensing (ranges and angles), which "
             f"this data set ({type(dataset).__name__}) does not have: use similarity=virtual_scan"
         )
+
+
+def beam_spacing(angles: Array, before: float | None, name: str) -> float:
+    """The angle between beams (B,), rad, negative for a sensor that turns clockwise.
+
+    Raises ``DataError`` for one beam, and if it is not what it was ``before`` (None: unknown).
+    """
+    if len(angles) < 2:
+        raise DataError(f"{name}: a scan of one beam: expected at least two")
+    spacing = float(angles[-1] - angles[0]) / (len(angles) - 1)
+    if before is not None and abs(spacing - before) > 1e-9:
+        raise DataError(f"{name}: the beam spacing changes within the data set")
+    return spacing

@@ -14,8 +14,13 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.similarity.base import Descriptor, PairwiseSimilarity, require_beams
+from rbtm_bench.errors import ConfigError
+from rbtm_bench.similarity.base import (
+    Descriptor,
+    PairwiseSimilarity,
+    beam_spacing,
+    require_beams,
+)
 from rbtm_bench.types import Array, Scan
 
 NEGLIGIBLE_VARIANCE = 1e-9
@@ -123,12 +128,8 @@ class CurvatureCircular(PairwiseSimilarity):
         return self._geometry[1]
 
     def _half_span_beams(self, angles: Array) -> int:
-        spacing = float(angles[-1] - angles[0]) / (len(angles) - 1)  # < 0: sensed clockwise
-        if self._spacing is None:
-            self._spacing = spacing
-        elif abs(spacing - self._spacing) > 1e-9:
-            raise DataError("curvature_circular: the beam spacing changes within the data set")
-        h = max(1, round(np.radians(self.half_span_deg) / abs(spacing)))
+        self._spacing = beam_spacing(angles, self._spacing, "curvature_circular")
+        h = max(1, round(np.radians(self.half_span_deg) / abs(self._spacing)))
         if 2 * h >= len(angles):
             raise ConfigError(
                 f"similarity.half_span_deg={self.half_span_deg} spans {2 * h} of "

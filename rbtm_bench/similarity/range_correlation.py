@@ -9,8 +9,12 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.errors import DataError
-from rbtm_bench.similarity.base import Descriptor, PairwiseSimilarity, require_beams
+from rbtm_bench.similarity.base import (
+    Descriptor,
+    PairwiseSimilarity,
+    beam_spacing,
+    require_beams,
+)
 from rbtm_bench.types import Array, Scan
 
 NEGLIGIBLE_VARIANCE = 1e-6
@@ -42,14 +46,10 @@ class RangeCorrelation(PairwiseSimilarity):
     def describe(self, scan: Scan) -> Array:
         """(3 B,): ranges in m less their mean, their squares, and the mask; 0 for no return.
 
-        Raises ``DataError`` if the spacing of the beams changes.
+        Raises ``DataError`` if the spacing of the beams changes, or there is only one.
         """
         assert scan.ranges is not None and scan.angles is not None
-        spacing = float(scan.angles[-1] - scan.angles[0]) / (len(scan.angles) - 1)
-        if self._spacing is None:
-            self._spacing = spacing
-        elif abs(spacing - self._spacing) > 1e-9:
-            raise DataError("range_correlation: the beam spacing changes within the data set")
+        self._spacing = beam_spacing(scan.angles, self._spacing, "range_correlation")
         known = np.isfinite(scan.ranges)
         # a correlation does not know a mean, but the sums of squares lose digits to it
         mean = scan.ranges[known].mean() if known.any() else 0.0

@@ -8,7 +8,7 @@ import pytest
 from rbtm_bench.datasets.corridor import Corridor
 from rbtm_bench.errors import ConfigError, DataError
 from rbtm_bench.similarity.range_correlation import RangeCorrelation
-from rbtm_bench.types import Array
+from rbtm_bench.types import Array, Scan
 
 NAN = float("nan")
 ANGLES = np.radians(np.arange(-90.0, 91.0))
@@ -118,3 +118,9 @@ def test_a_bare_corridor_looks_the_same_everywhere() -> None:
     drive = Corridor(environment="bare", scans=21)
     matrix = similarity.matrix(np.stack([similarity.describe(scan) for scan in drive]))
     assert matrix.min() > 0.99
+
+
+def test_a_scan_of_one_beam_is_refused() -> None:
+    scan = Scan(0, 0.0, np.ones((1, 3)), True, np.ones(1), np.zeros(1))
+    with pytest.raises(DataError, match="a scan of one beam: expected at least two"):
+        RangeCorrelation().describe(scan)
