@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from rbtm_bench import comparison, experiment, provenance, sweeps
 from rbtm_bench.files import make_folder, write_json
 from rbtm_bench.grid import Point
 from rbtm_bench.progress import bar
+from rbtm_bench.settings import Settings
 from rbtm_bench.worker import Supervisor
 
 STAMP = "made_with.json"
@@ -62,3 +64,19 @@ def begin(folder: Path, fresh: bool) -> None:
             with contextlib.suppress(OSError):
                 run.parent.rmdir()
     write_json(stamp, now)
+
+
+def with_value(settings: Settings, key: str, value: int) -> Settings:
+    """The settings with a seed, wherever that goes, or another number ("dataset.beams").
+
+    Composing takes Hydra 0.1 s, and the thousands of runs of a study differ in this number alone.
+    """
+    name = key.rpartition(".")[2]
+
+    def changed(node: Any) -> Any:
+        if isinstance(node, dict):
+            return {k: value if k == name else changed(v) for k, v in node.items()}
+        return node
+
+    overrides = (*settings.overrides, f"{key}={value}")
+    return replace(settings, config=changed(settings.config), overrides=overrides)

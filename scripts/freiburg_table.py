@@ -14,7 +14,6 @@ elsewhere costs). A run that was cut goes on where it was; --fresh starts anew.
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
 import sys
 import time
@@ -24,6 +23,7 @@ from pathlib import Path
 import freiburg_numbers as numbers
 from freiburg_plan import NOTHING, SLOW, SYSTEM, Plan, find_logs, make_size
 from freiburg_words import Found, final_lines, markdown, readme
+from study_options import data_folder, make_parser
 
 from rbtm_bench import comparison, results, sweeps
 from rbtm_bench.campaign import Campaign, begin
@@ -33,7 +33,6 @@ from rbtm_bench.files import make_folder, write_text
 from rbtm_bench.results import Run
 
 OUT = Path("results/freiburg")
-DATA = "RBTM_BENCH_DATA"
 
 
 def make_runs(plan: Plan, folder: Path, jobs: int) -> Campaign:
@@ -121,26 +120,14 @@ def command_of(options: argparse.Namespace) -> str:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__, OUT, "freiburg.md and .csv")
     parser.add_argument("--quick", action="store_true", help="3 backends, first scans of each log")
-    parser.add_argument("--out", type=Path, default=OUT, help=f"folder (default {OUT})")
-    parser.add_argument("--data", "--logs", type=Path, metavar="FOLDER", help=f"instead of {DATA}")
-    parser.add_argument("--backends", metavar="A,B", help="these planar backends only")
     parser.add_argument("--max-scans", type=int, metavar="N", help="the first N of each log")
-    parser.add_argument("--jobs", "-j", type=int, default=comparison.default_jobs())
-    parser.add_argument("--fresh", action="store_true", help="keep no run of an earlier call")
     parser.add_argument("--no-runs", action="store_true", help="tables of the runs that are there")
-    parser.add_argument(
-        "--reference", type=Path, metavar="FOLDER", help="leave freiburg.md and .csv there, too"
-    )
-    parser.add_argument("--debug", action="store_true", help="errors with their whole traceback")
     options = parser.parse_args(words)
 
     def call() -> int:
-        named = os.environ.get(DATA)
-        logs = find_logs(options.data or (Path(named) if named else None))
+        logs = find_logs(data_folder(options))
         size = make_size(options.quick, options.backends, options.max_scans)
         return study(Plan(size, logs), options, command_of(options))
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from paper_ways import NOISE_MM, Way, make_ways
 
+from rbtm_bench.campaign import with_value
 from rbtm_bench.errors import ConfigError
 from rbtm_bench.grid import Point, make_points
 from rbtm_bench.installed import planar_backends
@@ -156,29 +157,13 @@ class Runs:
         key, values = replicates
         names = [f"{stem}-{value}" for value in values]
         for name, value in zip(names, values, strict=True):
-            self.points[name] = Point(name, _with(settings, key, value))
+            self.points[name] = Point(name, with_value(settings, key, value))
         return names
 
     def follow(self, stem: str, source: str, settings: Settings, replicates: Replicates) -> None:
         """Add runs that draw the gaps of the runs ``source``."""
         for name, value in zip(self.add(stem, settings, replicates), replicates[1], strict=True):
             self.points[name] = replace(self.points[name], gaps_of=f"{source}-{value}")
-
-
-def _with(settings: Settings, key: str, value: int) -> Settings:
-    """The settings with a seed, wherever that goes, or a number of beams.
-
-    Composing takes Hydra 0.1 s, and thousands of runs differ in this number alone.
-    """
-    name = key.rpartition(".")[2]
-
-    def changed(node: Any) -> Any:
-        if isinstance(node, dict):
-            return {k: value if k == name else changed(v) for k, v in node.items()}
-        return node
-
-    overrides = (*settings.overrides, f"{key}={value}")
-    return replace(settings, config=changed(settings.config), overrides=overrides)
 
 
 def compose(*words: str) -> list[Point]:

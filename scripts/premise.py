@@ -16,7 +16,6 @@ out. A run that was cut goes on where it was; --fresh starts anew.
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
 import shutil
 import sys
@@ -44,6 +43,7 @@ from premise_plan import (
     tries,
 )
 from premise_words import Found, final_lines, readme, table_page
+from study_options import DATA, data_folder, make_parser
 
 from rbtm_bench import comparison
 from rbtm_bench.campaign import Campaign, begin
@@ -53,7 +53,6 @@ from rbtm_bench.files import make_folder, write_text
 from rbtm_bench.grid import Point
 
 OUT = Path("results/premise")
-DATA = "RBTM_BENCH_DATA"
 DRAWS = tuple(range(5))
 """Seeds of random gaps on a log."""
 
@@ -235,14 +234,13 @@ def make_places(options: argparse.Namespace) -> list[Place]:
     places = simulated(seeds, min(seeds, 5))
     if options.no_logs:
         return _wanted(places, options.places)
-    named = options.data or os.environ.get(DATA)
-    if not named:
+    folder = data_folder(options)
+    if folder is None:
         raise DataError(
             f"no logs: set {DATA} to the folder that holds freiburg/ and corrected/, give --data "
             "FOLDER, or leave them out with --no-logs"
         )
     scans = options.max_scans or (600 if options.quick else None)
-    folder = Path(named)
     places += [*corrected(folder, scans), *raw(folder, scans)]
     return _wanted(places, options.places)
 
@@ -281,27 +279,16 @@ def command_of(options: argparse.Namespace) -> str:
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = make_parser(__doc__, OUT, "premise.md, .csv and pictures")
     parser.add_argument("--quick", action="store_true", help="3 seeds, first 600 scans of each log")
-    parser.add_argument("--out", type=Path, default=OUT, help=f"folder (default {OUT})")
-    parser.add_argument("--data", type=Path, metavar="FOLDER", help=f"instead of {DATA}")
     parser.add_argument("--no-logs", action="store_true", help="simulated places only")
     parser.add_argument("--places", metavar="A,B", help="only these data sets, by name")
     parser.add_argument("--seeds", type=int, help="seeds that are shown")
     parser.add_argument("--max-scans", type=int, metavar="N", help="the first N of each log")
-    parser.add_argument("--backends", metavar="A,B", help=f"default {','.join(BACKENDS)}")
     parser.add_argument(
         "--pairs", type=Path, metavar="FOLDER", help="registrations of logs to share, e.g. "
         "results/freiburg/runs/pairs",
     )  # fmt: skip
-    parser.add_argument("--jobs", "-j", type=int, default=comparison.default_jobs())
-    parser.add_argument(
-        "--reference", type=Path, metavar="FOLDER", help="leave premise.md and .csv there, too"
-    )
-    parser.add_argument("--fresh", action="store_true", help="keep no run of an earlier call")
-    parser.add_argument("--debug", action="store_true", help="errors with their whole traceback")
     options = parser.parse_args(words)
 
     def call() -> int:

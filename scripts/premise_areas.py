@@ -14,17 +14,16 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
-from freiburg_plan import LOG_ENDS, LOGS, find_logs
-from premise_plan import BACKENDS, SPACING
+from freiburg_plan import LOGS, find_logs
+from premise_plan import BACKENDS, SPACING, corrected_log, corridor_words
 from premise_words import markdown
+from study_options import DATA, data_folder, make_parser
 
-from rbtm_bench import comparison
 from rbtm_bench.cli import guarded
 from rbtm_bench.cli import main as rbtm_bench
 from rbtm_bench.errors import DataError, RbtmBenchError
@@ -32,7 +31,6 @@ from rbtm_bench.files import make_folder, write_text
 from rbtm_bench.sweeps import versions
 
 OUT = Path("results/premise")
-DATA = "RBTM_BENCH_DATA"
 SIMILARITIES = (
     "curvature", "curvature_circular", "range_correlation", "overlap", "mutual_neighbours",
 )  # fmt: skip
@@ -48,22 +46,16 @@ MOST = {"all gaps": "at all gaps", "equal gap": "at equal gaps"}
 def data_sets(folder: Path | None) -> dict[str, tuple[str, list[str]]]:
     """Title and overrides of every data set, by name. Raises ``DataError`` for missing logs."""
     found: dict[str, tuple[str, list[str]]] = {}
-    for name, (scans, length) in SPACING.items():
-        words = ["dataset=corridor", f"dataset.environment={name}", f"dataset.scans={scans}"]
-        words += [f"dataset.path_length={length:g}"] if length else []
-        words += ["dataset.beams=341", "seed=0,1,2", "guess=odometry", "--within", "0.01,0.5"]
-        found[name] = (f"simulated: {name}", words)
+    for name in SPACING:
+        words = ["dataset=corridor", *corridor_words(name), "seed=0,1,2", "guess=odometry"]
+        found[name] = (f"simulated: {name}", [*words, "--within", "0.01,0.5"])
     if folder is None:
         return found
     for name, (log, relations) in find_logs(folder).items():
         words = [f"dataset.path='{log}'", f"dataset.relations='{relations}'"]
         found[name] = (f"{LOGS[name]}, raw", ["dataset=carmen", *words])
     for name, title in CORRECTED.items():
-        files = [folder / "corrected" / f"{name}-corrected{end}" for end in LOG_ENDS]
-        log = next((file for file in files if file.is_file()), None)
-        if log is None:
-            raise DataError(f"{folder / 'corrected'}: lacks {name}-corrected.log.gz (docs/data.md)")
-        words = ["dataset=carmen", f"dataset.path='{log}'"]
+        words = ["dataset=carmen", f"dataset.path='{corrected_log(folder, name)}'"]
         found[f"{name}-corrected"] = (f"{title}, keyframes", words)
     return found
 
@@ -90,6 +82,25 @@ def _is_there(folder: Path, backends: str) -> bool:
     found = pd.read_csv(folder / "roc.csv")
     whole = set(SIMILARITIES) <= set(found["predictor"])
     return whole and set(found["backend"]) == set(backends.split(","))
+
+
+def knees(folder: Path) -> pd.DataFrame:
+    """The curves of a data set, a row a backend and similarity, NaN where there is no knee."""
+    return pd.read_csv(folder / "summary.csv")[["backend", "similarity", "knee"]]
+
+
+def knee_words(table: pd.DataFrame) -> str:
+    """How many curves have a knee, and where."""
+    there = table[table["knee"].notna()]
+    where = [
+        f"{r['data']}, {r['backend']}, {r['similarity']}: S = {r['knee']:.2f}"
+        for _, r in there.iterrows()
+    ]
+    told = f" ({'; '.join(where)})" if where else ""
+    return (
+        f"An abrupt change of the error, the paper's knee, is found on {len(there)} of "
+        f"{len(table)} curves, a curve a data set, backend and similarity{told}."
+    )
 
 
 def area_table(table: pd.DataFrame, compared: str) -> str:
@@ -139,7 +150,7 @@ def count_table(table: pd.DataFrame) -> str:
     return markdown(rows, headers)
 
 
-def page(table: pd.DataFrame, left_out: Sequence[str]) -> str:
+def page(table: pd.DataFrame, knee: str, left_out: Sequence[str]) -> str:
     parts = [
         "# Which similarity tells the registrations that will succeed?",
         "Made by `python scripts/premise_areas.py`: areas under the ROC curve (0.5 is chance) with "
@@ -149,6 +160,7 @@ def page(table: pd.DataFrame, left_out: Sequence[str]) -> str:
         "undefined counts as the lowest score. docs/calibration.md has the rules.",
         "## In short",
         count_table(table),
+        knee,
         *(part for c, t in MOST.items() for part in (f"## Areas {t}", area_table(table, c))),
     ]
     parts += [f"Left out: {'; '.join(left_out)}."] if left_out else []
@@ -158,7 +170,7 @@ def page(table: pd.DataFrame, left_out: Sequence[str]) -> str:
 
 def study(sets: dict[str, tuple[str, list[str]]], options: argparse.Namespace) -> int:
     """Every data set in turn; the last thing printed is the table in short."""
-    tables, left_out = [], []
+    tables, curves, left_out = [], [], []
     for name, (title, words) in sets.items():
         print(title, flush=True)
         try:
@@ -168,41 +180,35 @@ def study(sets: dict[str, tuple[str, list[str]]], options: argparse.Namespace) -
             print(f"failed: {error}", file=sys.stderr)
             continue
         tables.append(found.assign(data=title))
+        curves.append(knees(options.out / "calibrate" / name).assign(data=title))
     if not tables:
         raise DataError("no data set could be calibrated")
     table = pd.concat(tables, ignore_index=True)
     write_text(options.out / "areas.csv", table.to_csv(index=False))
-    write_text(options.out / "areas.md", page(table, left_out))
+    knee = knee_words(pd.concat(curves, ignore_index=True))
+    text = page(table, knee, left_out)
+    write_text(options.out / "areas.md", text)
     if options.reference:
         make_folder(options.reference)
-        write_text(options.reference / "premise_areas.md", page(table, left_out))
+        write_text(options.reference / "premise_areas.md", text)
     print(options.out / "areas.md")
+    print(knee)
     print(count_table(table))
     return 1 if left_out else 0
 
 
 def main(words: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, default=OUT, help=f"folder (default {OUT})")
-    parser.add_argument("--data", type=Path, metavar="FOLDER", help=f"instead of {DATA}")
+    parser = make_parser(__doc__, OUT, "premise_areas.md")
     parser.add_argument("--no-logs", action="store_true", help="simulated places only")
     parser.add_argument("--only", metavar="A,B", help="only these data sets, by name")
-    parser.add_argument("--backends", metavar="A,B", default=",".join(BACKENDS))
-    parser.add_argument("--jobs", "-j", type=int, default=comparison.default_jobs())
-    parser.add_argument(
-        "--reference", type=Path, metavar="FOLDER", help="leave premise_areas.md there, too"
-    )
-    parser.add_argument("--fresh", action="store_true", help="keep nothing of an earlier call")
-    parser.add_argument("--debug", action="store_true", help="errors with their whole traceback")
+    parser.set_defaults(backends=",".join(BACKENDS))
     options = parser.parse_args(words)
 
     def call() -> int:
-        named = options.data or os.environ.get(DATA)
-        if not named and not options.no_logs:
+        folder = data_folder(options)
+        if folder is None and not options.no_logs:
             raise DataError(f"no logs: set {DATA}, give --data FOLDER, or --no-logs")
-        sets = data_sets(None if options.no_logs else Path(named))
+        sets = data_sets(None if options.no_logs else folder)
         wanted = options.only.split(",") if options.only else list(sets)
         for name in wanted:
             if name not in sets:

@@ -6,10 +6,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from freiburg_plan import LOG_ENDS, LOGS, find_logs
 
+from rbtm_bench.campaign import with_value
 from rbtm_bench.errors import DataError
 from rbtm_bench.grid import Point, make_points
 from rbtm_bench.settings import Settings, shown
@@ -96,6 +96,22 @@ SPACING = {"paper": (91, 1.8), "bare": (101, 4.0), "cluttered": (101, 6.0), "l_t
 SIMULATED = "simulated"
 
 
+def corridor_words(environment: str) -> tuple[str, ...]:
+    """A simulated environment as overrides of dataset=corridor."""
+    scans, length = SPACING[environment]
+    words = (f"dataset.environment={environment}", f"dataset.scans={scans}", "dataset.beams=341")
+    return (*words, f"dataset.path_length={length:g}") if length else words
+
+
+def corrected_log(folder: Path, name: str) -> Path:
+    """A log with corrected poses, in corrected/ below the folder. Raises ``DataError``."""
+    files = [folder / "corrected" / f"{name}-corrected{end}" for end in LOG_ENDS]
+    log = next((file for file in files if file.is_file()), None)
+    if log is None:
+        raise DataError(f"{folder / 'corrected'}: lacks {name}-corrected.log.gz (docs/data.md)")
+    return log
+
+
 def simulated(seeds: int, choosing: int) -> list[Place]:
     """The four simulated environments."""
     kind = Kind(
@@ -106,14 +122,12 @@ def simulated(seeds: int, choosing: int) -> list[Place]:
             (0.1, 0.2, 0.3, 0.5), (0.1, 0.2, 0.4, 0.8), (4, 8, 16, 31), (4, 8, 16, 32),
             (0.3, 0.45, 0.6, 0.75),
         ),
-        ("dataset=corridor", "dataset.beams=341"),
+        ("dataset=corridor",),
         seeds=(tuple(range(FIRST_CHOICE, FIRST_CHOICE + choosing)), tuple(range(seeds))),
     )  # fmt: skip
     places = []
-    for name, (scans, length) in SPACING.items():
-        words = [f"dataset.environment={name}", f"dataset.scans={scans}"]
-        words += [f"dataset.path_length={length:g}"] if length else []
-        places.append(Place(kind, name, f"simulated: {name}", tuple(words)))
+    for name in SPACING:
+        places.append(Place(kind, name, f"simulated: {name}", corridor_words(name)))
     return places
 
 
@@ -135,11 +149,7 @@ def corrected(folder: Path, max_scans: int | None) -> list[Place]:
     )  # fmt: skip
     places = []
     for name, title in CORRECTED.items():
-        files = [folder / "corrected" / f"{name}-corrected{end}" for end in LOG_ENDS]
-        log = next((file for file in files if file.is_file()), None)
-        if log is None:
-            raise DataError(f"{folder / 'corrected'}: lacks {name}-corrected.log.gz (docs/data.md)")
-        words = [f"dataset.path='{log}'", *_first(max_scans)]
+        words = [f"dataset.path='{corrected_log(folder, name)}'", *_first(max_scans)]
         places.append(Place(kind, f"{name}-corrected", f"{title}, keyframes", tuple(words)))
     return places
 
@@ -243,17 +253,5 @@ def points(one: Try, seeds: Sequence[int]) -> list[Point]:
         source = one.source
         if source and one.place.kind.seeds:  # on a log several draws share the one run
             source = f"{source}-{seed}"
-        found.append(Point(f"{one.stem}-{seed}", _seeded(one.settings, seed), source))
+        found.append(Point(f"{one.stem}-{seed}", with_value(one.settings, "seed", seed), source))
     return found
-
-
-def _seeded(settings: Settings, seed: int) -> Settings:
-    """The settings with a seed, wherever it goes: composing takes Hydra 0.1 s."""
-
-    def changed(node: Any) -> Any:
-        if isinstance(node, dict):
-            return {k: seed if k == "seed" else changed(v) for k, v in node.items()}
-        return node
-
-    overrides = (*settings.overrides, f"seed={seed}")
-    return replace(settings, config=changed(settings.config), overrides=overrides)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from premise_plan import BOUNDS, NOTHING, RBTM, STRATEGIES, Place
 from tabulate import tabulate
@@ -103,6 +104,24 @@ def verdicts(found: Found, places: Mapping[str, Place]) -> list[str]:
                 parts.append(f"{strategy} {better} / {worse} / {neither}")
         lines.append(f"- {here[0].kind.title}: {'; '.join(parts)}.")
     return lines
+
+
+def relative_table(found: Found, places: Mapping[str, Place]) -> str:
+    """Errors over those of the previous scan: a row a strategy, a column a kind of data, geometric
+    means over its places and backends."""
+    errors = found.table[found.table["backend"] != NOTHING].pivot_table(
+        index=["place", "backend"], columns="strategy", values="error"
+    )
+    ratios = errors.div(errors["previous"], axis=0)
+    kinds = ratios.index.get_level_values("place").map(lambda name: places[name].kind.title)
+    means = np.exp(np.log(ratios).groupby(kinds).mean())
+    titles = list(dict.fromkeys(place.kind.title for place in places.values()))
+    rows = [
+        [name, *(number(means.loc[title, name]) for title in titles)]
+        for name in (*STRATEGIES, *BOUNDS)
+        if name in means
+    ]
+    return markdown(rows, ["strategy", *titles])
 
 
 def share_table(found: Found, bound: str, places: Mapping[str, Place]) -> str:
@@ -230,6 +249,9 @@ def readme(found: Found, places: Mapping[str, Place], command: str, figures: Seq
         "better / surely worse / neither (paired intervals; over seeds also the signed-rank test, "
         "Holm):",
         "\n".join("  " + line for line in verdicts(found, places)),
+        "- Errors over those of matching to the previous scan, geometric means over places and "
+        "backends:",
+        relative_table(found, places),
         "## Where RBTM stands, and why",
         "\n".join(why(found, places)),
         "What the gap alone does: a longer gap means fewer registrations in a chain, whatever "

@@ -37,13 +37,13 @@ def parts_of(stamps: Array, known: NDArray[np.bool_], plan: Plan) -> Index:
     return part
 
 
-def stretches(part: Index) -> Index:
-    """The number (N,) of the stretch of one part that every scan lies in, in the log's order; 0
-    for scans of no part."""
+def stretches(part: Index, stamps: Array) -> Index:
+    """The number (N,) of the stretch of one part that every scan lies in, in the order of time; 0
+    for scans of no part. With a cut in time there are two."""
     found = np.zeros(len(part), np.intp)
     inside = np.flatnonzero(part >= 0)
-    changes = np.diff(part[inside]) != 0
-    found[inside[1:]] = np.cumsum(changes)
+    inside = inside[np.argsort(stamps[inside], kind="stable")]
+    found[inside[1:]] = np.cumsum(np.diff(part[inside]) != 0)
     return found
 
 

@@ -229,8 +229,15 @@ def test_a_local_relation_does_not_span_a_block_of_the_other_part() -> None:
 
 def test_stretches_count_the_changes_of_part() -> None:
     part = np.array([-1, 0, 0, 1, -1, 1, 0, 0])
-    assert stretches(part).tolist() == [0, 0, 0, 1, 0, 1, 2, 2]
-    assert stretches(np.array([-1, -1])).tolist() == [0, 0]
+    assert stretches(part, np.arange(8.0)).tolist() == [0, 0, 0, 1, 0, 1, 2, 2]
+    assert stretches(np.array([-1, -1]), np.arange(2.0)).tolist() == [0, 0]
+    # a log whose stamps step back has two stretches in time, whatever the order of its lines
+    assert stretches(np.array([0, 1, 0, 1]), np.array([0.0, 2.0, 1.0, 3.0])).tolist() == [
+        0,
+        1,
+        0,
+        1,
+    ]
 
 
 def test_what_is_resampled_together() -> None:
