@@ -2,6 +2,6 @@
 
 import sys
 
-from rbtm_bench.cli import main
+from rbtm_bench.cli.main import main
 
 sys.exit(main())

@@ -7,8 +7,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from rbtm_bench.core.errors import RbtmBenchError
 from rbtm_bench.datasets.simulated_hall import FORMATS, RING_ELEVATIONS_DEG, write_hall
-from rbtm_bench.errors import RbtmBenchError
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from rbtm_bench.contract.plugin import hands_out_work
-from rbtm_bench.pinning import pin_to_free_core
+from rbtm_bench.runs.pinning import pin_to_free_core
 
 
 def pytest_configure(config: pytest.Config) -> None:

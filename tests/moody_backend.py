@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 CONFIGS = Path(__file__).parent / "moody_configs"
 

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 import rbtm_bench
-from rbtm_bench.errors import BackendError
-from rbtm_bench.pairstore import PairStore
-from rbtm_bench.types import Localizability, RegistrationResult
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.types import Localizability, RegistrationResult
+from rbtm_bench.pairs.store import PairStore
 
 SPAWN = multiprocessing.get_context("spawn")
 
@@ -126,9 +126,9 @@ WRITE_FOR_EVER = f"""
 import os, struct, sys
 from pathlib import Path
 import numpy as np
-from rbtm_bench.errors import BackendError
-from rbtm_bench.pairstore import PairStore
-from rbtm_bench.types import Localizability, RegistrationResult
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.pairs.store import PairStore
+from rbtm_bench.core.types import Localizability, RegistrationResult
 from hashlib import blake2b
 {inspect.getsource(key)}
 {inspect.getsource(outcome)}

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from rbtm_bench.cli import main
-from rbtm_bench.files import write_json, write_text
-from rbtm_bench.relation_errors import RelationErrors
+from rbtm_bench.cli.main import main
+from rbtm_bench.core.files import write_json, write_text
+from rbtm_bench.metrics.relation_errors import RelationErrors
 
 MM = "final_translation_error_mm"
 MEAN = "relations_translation_mean_m"

@@ -16,7 +16,7 @@ from typing import Any
 
 from moody_backend import CONFIGS
 
-from rbtm_bench.cli import main
+from rbtm_bench.cli.main import main
 
 TESTS = Path(__file__).parent
 SMALL = ("dataset.scans=12", "selector=previous")
@@ -24,8 +24,10 @@ MOODY = ("--config-dir", str(CONFIGS))
 
 
 def script(name: str) -> ModuleType:
-    """A module out of scripts/."""
-    spec = importlib.util.spec_from_file_location(name, TESTS.parent / "scripts" / f"{name}.py")
+    """A module out of scripts/benchmarks/."""
+    spec = importlib.util.spec_from_file_location(
+        name, TESTS.parent / "scripts" / "benchmarks" / f"{name}.py"
+    )
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module

@@ -17,11 +17,11 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from annotated_types import Ge, Gt
 
-from rbtm_bench.backends.evaluation import compile_kernels, evaluate
 from rbtm_bench.backends.neighbours_2d import Sorted2D, sorted_2d
-from rbtm_bench.errors import BackendError
-from rbtm_bench.geometry import is_rigid, to_plane, transform, voxel_downsample
-from rbtm_bench.types import Array, RegistrationResult, Scan
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.geometry import is_rigid, to_plane, transform, voxel_downsample
+from rbtm_bench.core.types import Array, RegistrationResult, Scan
+from rbtm_bench.odometry.judge import compile_kernels, evaluate
 
 MIN_POINTS = 6
 """Fewer points than this cannot hold six degrees of freedom against noise: an error."""

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench.backends.evaluation import tangent_at
 from rbtm_bench.backends.hough import (
     correlate_columns,
     correlate_spectra,
@@ -17,8 +16,9 @@ from rbtm_bench.backends.hough import (
     vote,
 )
 from rbtm_bench.backends.neighbours_2d import Sorted2D, nearest_2d
-from rbtm_bench.kernels import kernel
-from rbtm_bench.types import Array
+from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.types import Array
+from rbtm_bench.odometry.judge import tangent_at
 
 Pose = tuple[float, float, float]
 """x, y in m, theta in rad."""

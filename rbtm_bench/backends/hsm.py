@@ -23,9 +23,9 @@ from rbtm_bench.backends.hough_search import (
     surfaces,
 )
 from rbtm_bench.backends.neighbours_2d import sorted_2d
-from rbtm_bench.errors import BackendError
-from rbtm_bench.geometry import se2, yaw
-from rbtm_bench.types import Array
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.geometry import se2, yaw
+from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
 

@@ -9,7 +9,7 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
 

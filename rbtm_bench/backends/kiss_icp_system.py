@@ -9,9 +9,9 @@ from annotated_types import Ge, Gt
 
 from rbtm_bench.backends.base import MIN_POINTS
 from rbtm_bench.backends.system import System, Tracker
-from rbtm_bench.errors import BackendError, ConfigError
-from rbtm_bench.geometry import inverse, to_plane, transform
-from rbtm_bench.types import Array
+from rbtm_bench.core.errors import BackendError, ConfigError
+from rbtm_bench.core.geometry import inverse, to_plane, transform
+from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
 

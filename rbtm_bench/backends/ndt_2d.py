@@ -11,10 +11,10 @@ from annotated_types import Ge, Gt, Le
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.backends.ndt_2d_cells import Cells, cells_of, half_cell, place
-from rbtm_bench.errors import BackendError, ConfigError
-from rbtm_bench.geometry import se2, yaw
-from rbtm_bench.kernels import kernel
-from rbtm_bench.types import Array
+from rbtm_bench.core.errors import BackendError, ConfigError
+from rbtm_bench.core.geometry import se2, yaw
+from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 
 class NoRegistration(Backend):

@@ -8,7 +8,7 @@ import numpy as np
 from rbtm_bench.backends.open3d_icp import Positive, _registration
 from rbtm_bench.backends.open3d_p2plane import Open3DPointToPlane
 from rbtm_bench.backends.planar import covariances_of_discs
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 
 @dataclass(eq=False)

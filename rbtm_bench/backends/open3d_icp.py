@@ -11,9 +11,9 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.geometry import information_in_source_frame
-from rbtm_bench.types import Array
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.geometry import information_in_source_frame
+from rbtm_bench.core.types import Array
 
 Kernel = Literal["none", "huber", "cauchy", "geman_mcclure", "tukey"]
 Positive = Annotated[float, Gt(0)]

@@ -9,7 +9,7 @@ from annotated_types import Ge, Gt, Lt
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.backends.open3d_icp import cloud
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from rbtm_bench.backends.open3d_icp import Open3DICP, _registration, cloud
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 
 @dataclass(eq=False)

@@ -8,7 +8,7 @@ from annotated_types import Ge
 
 from rbtm_bench.backends.open3d_icp import Open3DICP, Positive, _registration, cloud
 from rbtm_bench.backends.planar import normals_2d
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 
 @dataclass(eq=False)

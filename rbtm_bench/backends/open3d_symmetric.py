@@ -5,7 +5,7 @@ from typing import Any
 
 from rbtm_bench.backends.open3d_icp import _registration
 from rbtm_bench.backends.open3d_p2plane import Open3DPointToPlane
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 
 @dataclass(eq=False)

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rbtm_bench.backends.neighbours_2d import Sorted2D, sorted_2d
-from rbtm_bench.kernels import kernel
-from rbtm_bench.types import Array
+from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.types import Array
 
 MIN_NEIGHBOURS = 5
 LAYER_HEIGHT = 0.3

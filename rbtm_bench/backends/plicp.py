@@ -12,10 +12,10 @@ from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.backends.plicp_covariance import motion_information
 from rbtm_bench.backends.plicp_match import Settings, Surface, match, shortened, surface_of
 from rbtm_bench.backends.plicp_step import Matches, step_to_lines, step_to_points
-from rbtm_bench.errors import BackendError
-from rbtm_bench.geometry import se2
-from rbtm_bench.kernels import kernel
-from rbtm_bench.types import Array
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.geometry import se2
+from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
 Share = Annotated[float, Gt(0), Le(1)]

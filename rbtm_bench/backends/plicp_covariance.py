@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rbtm_bench.backends.plicp_step import Matches
-from rbtm_bench.kernels import kernel
-from rbtm_bench.types import Array
+from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.types import Array
 
 UNSEEN = 1e-6
 """A direction whose second derivative is this much smaller than the largest is not seen."""

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from rbtm_bench.backends.neighbours_2d import Sorted2D, nearest_2d
 from rbtm_bench.backends.plicp_step import Matches, foot
-from rbtm_bench.kernels import kernel
-from rbtm_bench.types import Array
+from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.types import Array
 
 OTHER_WAY = 0.5
 """Cosine of 60 deg: two neighbours of a point lie on different sides of it if further apart."""

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench.kernels import kernel
-from rbtm_bench.types import Array
+from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.types import Array
 
 FLAT = 1e-9
 """An eigenvalue this much smaller than the other counts as 0: nothing holds that direction."""

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench.kernels import kernel
-from rbtm_bench.types import Array
+from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.types import Array
 
 MEDIAN_WINDOW = 5
 """Bins that the median filter looks at: it removes what is one or two beams wide."""

@@ -9,10 +9,10 @@ from annotated_types import Ge, Gt, Le
 
 from rbtm_bench.backends.base import MIN_POINTS, Alignment, Backend, Prepared
 from rbtm_bench.backends.polar_scan import Bins, PolarScan, bins_of, polar_scan, project
-from rbtm_bench.errors import BackendError
-from rbtm_bench.geometry import se2, yaw
-from rbtm_bench.kernels import kernel
-from rbtm_bench.types import Array
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.geometry import se2, yaw
+from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
 

@@ -10,9 +10,9 @@ from annotated_types import Ge, Gt
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.backends.planar import lifted
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.geometry import se3, to_plane
-from rbtm_bench.types import Array
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.geometry import se3, to_plane
+from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
 

@@ -15,9 +15,9 @@ from typing import Literal
 import numpy as np
 
 from rbtm_bench.backends.base import MIN_POINTS
-from rbtm_bench.errors import BackendError
-from rbtm_bench.geometry import is_rigid, to_plane
-from rbtm_bench.types import Array, Scan
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.geometry import is_rigid, to_plane
+from rbtm_bench.core.types import Array, Scan
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rbtm_bench.calibration.rates import Rate, rate
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 STEP = 0.02
 """Between the thresholds that are tried."""

@@ -18,7 +18,7 @@ from rbtm_bench.calibration.knee import Knee, knee
 from rbtm_bench.calibration.parts import CALIBRATION, REPORTED
 from rbtm_bench.calibration.roc import Area, area, ranks_within
 from rbtm_bench.calibration.sampling import GAP, REVISIT
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -12,8 +12,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from rbtm_bench.geometry import rotation_angle, translation_norm
-from rbtm_bench.types import Array, RegistrationResult
+from rbtm_bench.core.geometry import rotation_angle, translation_norm
+from rbtm_bench.core.types import Array, RegistrationResult
 
 Register = Callable[[int, int, Array], RegistrationResult]
 """Registers scan ``source`` to scan ``target``: (target, source, T_target_source)."""

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from rbtm_bench.calibration.running import Asked
-    from rbtm_bench.grid import Point
+    from rbtm_bench.runs.grid import Point
 
 ADDED = ("_target_",)
 

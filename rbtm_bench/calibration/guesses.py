@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rbtm_bench.calibration.track import Track
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.geometry import inverse, se2, se3
-from rbtm_bench.types import Array
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.geometry import inverse, se2, se3
+from rbtm_bench.core.types import Array
 
 GuessName = Literal["auto", "odometry", "constant_velocity", "identity", "truth"]
 GUESSES: tuple[GuessName, ...] = ("auto", "odometry", "constant_velocity", "identity", "truth")

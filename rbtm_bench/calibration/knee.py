@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rbtm_bench.calibration.roc import percentiles, resampled
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 FOLDS = 10
 """Groups of blocks that are left out in turn."""

@@ -21,10 +21,10 @@ import numpy as np
 from rbtm_bench.calibration import guesses
 from rbtm_bench.calibration.consistency import contradiction
 from rbtm_bench.calibration.sampling import CONSISTENCY_ERROR, Sample
-from rbtm_bench.errors import BackendError, ConfigError, RunError
-from rbtm_bench.geometry import inverse
-from rbtm_bench.types import Array, RegistrationResult, Scan
-from rbtm_bench.worker import ChildError, Supervisor
+from rbtm_bench.core.errors import BackendError, ConfigError, RunError
+from rbtm_bench.core.geometry import inverse
+from rbtm_bench.core.types import Array, RegistrationResult, Scan
+from rbtm_bench.engine.crew import ChildError, Supervisor
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -71,7 +71,7 @@ class _Kept:
 
     def open(self, data: Node, plugin: Node) -> None:
         """Build what is not there yet."""
-        from rbtm_bench import experiment
+        from rbtm_bench.runs import experiment
 
         data_key = json.dumps(data, sort_keys=True, default=str)
         key = data_key + json.dumps(plugin, sort_keys=True, default=str)
@@ -108,7 +108,7 @@ def register_chunk(data: Node, backend: Node, tasks: Sequence[Task]) -> list[Row
 
 
 def _registered(task: Task) -> Row:
-    from rbtm_bench.pairs import errors_of
+    from rbtm_bench.calibration.known_pairs import errors_of
 
     plugin: Backend = _kept.plugin
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench import statistics
 from rbtm_bench.calibration.plan import Plan
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
+from rbtm_bench.report import intervals
 
 Index = NDArray[np.intp]
 
@@ -60,7 +60,7 @@ def clusters_of(
     """What is resampled together (K,), and the length of its blocks in s.
 
     Pairs across gaps: blocks of 30 s by the pair's middle, shorter where a part would have less
-    than 8. Revisits: place and time, as the long relations of ``rbtm_bench.statistics``.
+    than 8. Revisits: place and time, as the long relations of ``rbtm_bench.report.intervals``.
     """
     start, end = stamps[target], stamps[source]
     span = float(np.ptp(stamps)) / 2
@@ -69,6 +69,6 @@ def clusters_of(
     labels[~revisit] = np.floor((0.5 * (start + end)[~revisit] - stamps.min()) / block_s)
     if revisit.any():
         nothing = np.zeros(int(revisit.sum()), bool)
-        again = statistics.relation_clusters(start[revisit], end[revisit], nothing)
+        again = intervals.relation_clusters(start[revisit], end[revisit], nothing)
         labels[revisit] = again + labels.max(initial=0) + 1
     return labels, block_s

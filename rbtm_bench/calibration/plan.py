@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from rbtm_bench.calibration.guesses import GUESSES, GuessName
-from rbtm_bench.errors import ConfigError
+from rbtm_bench.core.errors import ConfigError
 
 TruthName = Literal["auto", "poses", "relations", "none"]
 TRUTHS: tuple[TruthName, ...] = ("auto", "poses", "relations", "none")

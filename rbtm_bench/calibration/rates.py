@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rbtm_bench.statistics import LEVEL
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
+from rbtm_bench.report.intervals import LEVEL
 
 QUANTILES = (0.5, 0.75, 0.9, 0.95)
 """Of errors; a failed registration counts as an infinite error."""

@@ -23,7 +23,7 @@ from rbtm_bench.calibration.sampling import (
     Sample,
 )
 from rbtm_bench.calibration.tables import Findings, one_area
-from rbtm_bench.statistics import FEWEST
+from rbtm_bench.report.intervals import FEWEST
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rbtm_bench.statistics import FEWEST, LEVEL, SEED
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
+from rbtm_bench.report.intervals import FEWEST, LEVEL, SEED
 
 RESAMPLES = 2000
 

@@ -15,15 +15,15 @@ from rbtm_bench.calibration.measuring import Node
 from rbtm_bench.calibration.plan import Plan
 from rbtm_bench.calibration.sampling import GAP, Sample, draw
 from rbtm_bench.calibration.track import Track, track_of
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.settings import is_system, shown
-from rbtm_bench.types import Array
-from rbtm_bench.worker import Supervisor
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.types import Array
+from rbtm_bench.engine.crew import Supervisor
+from rbtm_bench.runs.settings import is_system, shown
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from rbtm_bench.grid import Point
+    from rbtm_bench.runs.grid import Point
 
 Progress = Callable[[int, int, str], None]
 """Called with what is done, what there is in all, and a word on what is being done."""
@@ -127,7 +127,7 @@ def _judged(found: Sequence[pd.DataFrame], plan: Plan) -> pd.DataFrame:
 
 
 def _track(node: Node, progress: Progress) -> Track:
-    from rbtm_bench import experiment
+    from rbtm_bench.runs import experiment
 
     dataset = experiment.build(node)
     return track_of(dataset, lambda done, total: progress(done, total, "reading scans"))

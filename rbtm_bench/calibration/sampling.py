@@ -18,9 +18,9 @@ from rbtm_bench.calibration.parts import PARTS, clusters_of, evenly, parts_of, s
 from rbtm_bench.calibration.plan import Plan
 from rbtm_bench.calibration.reference import Known, known_motions
 from rbtm_bench.calibration.track import Track, travelled
-from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.geometry import inverse, rotation_angle, translation_norm
-from rbtm_bench.types import Array
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
+from rbtm_bench.core.types import Array
 
 if TYPE_CHECKING:
     import pandas as pd

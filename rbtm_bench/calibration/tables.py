@@ -15,7 +15,7 @@ from rbtm_bench.calibration.advice import Advice
 from rbtm_bench.calibration.analysis import ALL, EQUAL, Measured
 from rbtm_bench.calibration.knee import Knee
 from rbtm_bench.calibration.sampling import GAP
-from rbtm_bench.files import write_atomically, write_text
+from rbtm_bench.core.files import write_atomically, write_text
 
 if TYPE_CHECKING:
     import pandas as pd

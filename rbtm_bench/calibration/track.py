@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rbtm_bench.core.geometry import inverse, translation_norm
+from rbtm_bench.core.trajectory import Mask
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Dataset, Relations
-from rbtm_bench.geometry import inverse, translation_norm
-from rbtm_bench.trajectory import Mask
-from rbtm_bench.types import Array
 
 LOOKED_AT = 50
 """Scans whose points are looked at for ``reach``."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
-from rbtm_bench.types import Array, RegistrationResult
+from rbtm_bench.core.types import Array, RegistrationResult
 
 
 class Check(ABC):

@@ -8,8 +8,8 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 
 from rbtm_bench.check.base import Check
-from rbtm_bench.geometry import inverse, rotation_angle, translation_norm
-from rbtm_bench.types import Array, RegistrationResult
+from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
+from rbtm_bench.core.types import Array, RegistrationResult
 
 
 class Gated(Check):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from rbtm_bench.check.base import Check
-from rbtm_bench.types import Array, RegistrationResult
+from rbtm_bench.core.types import Array, RegistrationResult
 
 
 class AcceptAll(Check):

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from rbtm_bench import settings
-from rbtm_bench.errors import ConfigError, RbtmBenchError
-from rbtm_bench.experiment import build
+from rbtm_bench.core.errors import ConfigError, RbtmBenchError
+from rbtm_bench.runs import settings
+from rbtm_bench.runs.experiment import build
 
 REQUIRED = {("selector", "random_gap"): ("selector.gaps=[1,2,3]",)}
 """Settings without a default that a plug-in of ours cannot do without."""

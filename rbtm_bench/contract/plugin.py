@@ -9,8 +9,8 @@ from __future__ import annotations
 import pytest
 
 from rbtm_bench.contract.members import CATALOGUE, Catalogue
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.pinning import pin_to_free_core
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.runs.pinning import pin_to_free_core
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rbtm_bench.core.geometry import inverse, se2, se3, transform
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset, beam_points
-from rbtm_bench.geometry import inverse, se2, se3, transform
-from rbtm_bench.types import Array, Scan
 
 
 def outline(*corners: tuple[float, float]) -> Array:

@@ -9,9 +9,9 @@ import pytest
 
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.contract.scene import World, rotation
-from rbtm_bench.errors import BackendError
-from rbtm_bench.geometry import inverse, is_rigid, se2, se3, transform, translation_norm
-from rbtm_bench.types import Array, RegistrationResult, Scan
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.geometry import inverse, is_rigid, se2, se3, transform, translation_norm
+from rbtm_bench.core.types import Array, RegistrationResult, Scan
 
 GROUP = "backend"
 MOTIONS = ("forward", "turn", "curve")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rbtm_bench.backends.base import Backend
-from rbtm_bench.backends.evaluation import evaluate
 from rbtm_bench.contract.scene import World
-from rbtm_bench.geometry import inverse, rotation_angle, transform, translation_norm
-from rbtm_bench.types import Array, RegistrationResult, Scan
+from rbtm_bench.core.geometry import inverse, rotation_angle, transform, translation_norm
+from rbtm_bench.core.types import Array, RegistrationResult, Scan
+from rbtm_bench.odometry.judge import evaluate
 
 GROUP = "backend"
 NOISE = (0.0, 0.010)

@@ -8,8 +8,8 @@ import pytest
 
 from rbtm_bench.check.base import Check
 from rbtm_bench.contract.members import Catalogue, Member
-from rbtm_bench.geometry import se2
-from rbtm_bench.types import RegistrationResult
+from rbtm_bench.core.geometry import se2
+from rbtm_bench.core.types import RegistrationResult
 
 GROUP = "check"
 GUESS = se2(0.1, 0.02, 0.05)

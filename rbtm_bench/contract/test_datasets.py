@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from rbtm_bench.contract.members import Catalogue, Member
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.geometry import is_rigid
+from rbtm_bench.core.types import Scan
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.geometry import is_rigid
-from rbtm_bench.types import Scan
 
 GROUP = "dataset"
 LOOKED_AT = 12

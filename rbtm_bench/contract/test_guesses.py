@@ -11,11 +11,11 @@ import pytest
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.contract.members import Catalogue, Member
 from rbtm_bench.contract.scene import TinyClouds, rotation
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.geometry import inverse, is_rigid, se2, se3
+from rbtm_bench.core.types import Array, Node, Scan
 from rbtm_bench.datasets.corridor import Corridor
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.geometry import inverse, is_rigid, se2, se3
 from rbtm_bench.guess.base import Guess
-from rbtm_bench.types import Array, Node, Scan
 
 GROUP = "guess"
 STEPS = {

@@ -9,13 +9,13 @@ import pytest
 
 from rbtm_bench.contract.members import Catalogue, Member
 from rbtm_bench.contract.scene import TinyClouds
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.geometry import inverse, se2
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.datasets.corridor import Corridor
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.geometry import inverse, se2
+from rbtm_bench.runs.workbench import SharedSimilarity
 from rbtm_bench.similarity.base import Descriptor, Similarity
-from rbtm_bench.types import Array, Scan
-from rbtm_bench.workbench import SharedSimilarity
 
 GROUP = "similarity"
 AGREE = 1e-12

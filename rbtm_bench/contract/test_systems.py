@@ -13,11 +13,11 @@ import pytest
 from rbtm_bench.backends.system import System, Tracker
 from rbtm_bench.contract.members import Catalogue, Member
 from rbtm_bench.contract.scene import rotation
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.geometry import inverse, is_rigid, rotation_angle, se3, translation_norm
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.corridor import Corridor
 from rbtm_bench.datasets.simulated_hall import drive, simulate
-from rbtm_bench.errors import BackendError
-from rbtm_bench.geometry import inverse, is_rigid, rotation_angle, se3, translation_norm
-from rbtm_bench.types import Array, Scan
 
 GROUP = "backend"
 SYSTEMS = True

@@ -10,10 +10,10 @@ import pytest
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.contract.members import Catalogue, Member
 from rbtm_bench.contract.scene import ROOM, planar_scan
-from rbtm_bench.geometry import inverse, se2, transform
+from rbtm_bench.core.geometry import inverse, se2, transform
+from rbtm_bench.core.types import Array, Node
 from rbtm_bench.selection.window import Window
-from rbtm_bench.target import Target
-from rbtm_bench.types import Array, Node
+from rbtm_bench.target.base import Target
 
 GROUP = "target"
 POSES = [se2(0.1 * i, -0.05 * i, 0.1 * i) for i in range(6)]

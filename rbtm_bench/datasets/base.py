@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rbtm_bench.types import Array, Scan
+from rbtm_bench.core.types import Array, Scan
 
 
 @dataclass(frozen=True, eq=False)

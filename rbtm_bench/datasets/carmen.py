@@ -9,6 +9,9 @@ import numpy as np
 from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.geometry import inverse
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset, Relations, beam_points
 from rbtm_bench.datasets.carmen_log import (
     BEAM_ANGLES_DEG,
@@ -17,9 +20,6 @@ from rbtm_bench.datasets.carmen_log import (
     parse_relations,
 )
 from rbtm_bench.datasets.files import read_bytes, unpacked_lines
-from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.geometry import inverse
-from rbtm_bench.types import Array, Scan
 
 VERSION = "carmen-1"
 """Part of the fingerprint: change it whenever the same file and settings give other scans."""

@@ -21,10 +21,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Relations
 from rbtm_bench.datasets.files import data_lines, found, to_numbers
-from rbtm_bench.errors import DataError
-from rbtm_bench.types import Array
 
 BEAM_ANGLES_DEG: dict[int, tuple[float, float]] = {
     180: (-90.0, 1.0),

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from rbtm_bench.errors import DataError
-from rbtm_bench.types import Array
+from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.types import Array
 
 SUFFIXES = (".ply", ".pcd", ".bin", ".npy")
 

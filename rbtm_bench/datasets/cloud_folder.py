@@ -10,11 +10,11 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt
 
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.datasets.cloud_files import SUFFIXES, check_file, read_points
 from rbtm_bench.datasets.poses_file import read_poses
-from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.types import Array, Scan
 
 VERSION = "cloud-folder-1"
 """Part of the fingerprint: change it whenever the same files and settings give other scans."""

@@ -9,12 +9,12 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.geometry import inverse, se2, yaw
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset, beam_points
 from rbtm_bench.datasets.environments import ENVIRONMENTS, Environment
 from rbtm_bench.datasets.raycast import scan_walls
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.geometry import inverse, se2, yaw
-from rbtm_bench.types import Array, Scan
 
 VERSION = "corridor-1"
 """Part of the fingerprint: change it whenever the same settings give other scans."""

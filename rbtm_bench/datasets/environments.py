@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rbtm_bench.geometry import se2
-from rbtm_bench.types import Array
+from rbtm_bench.core.geometry import se2
+from rbtm_bench.core.types import Array
 
 Point = tuple[float, float]
 Segment = tuple[Point, Point]

@@ -10,7 +10,7 @@ import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from rbtm_bench.errors import DataError
+from rbtm_bench.core.errors import DataError
 
 
 def read_bytes(path: str | Path) -> bytes:

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.geometry import is_rigid
+from rbtm_bench.core.trajectory import orthonormalised
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.geometry import is_rigid
-from rbtm_bench.trajectory import orthonormalised
-from rbtm_bench.types import Array, Scan
 
 VERSION = "kiss-loader-1"
 """Part of the fingerprint: change it whenever the same files and settings give other scans."""

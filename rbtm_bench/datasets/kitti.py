@@ -8,12 +8,12 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Ge, Gt
 
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.geometry import is_rigid, se3
 from rbtm_bench.datasets.cloud_files import check_file
 from rbtm_bench.datasets.files import data_lines, read_bytes, to_numbers
 from rbtm_bench.datasets.kiss_loader import Frame, KissDataset, open_loader
 from rbtm_bench.datasets.poses_file import read_poses
-from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.geometry import is_rigid, se3
 
 SEQUENCES_WITH_POSES = 11
 """Sequences from here on are for KITTI's evaluation server: their poses are not public."""

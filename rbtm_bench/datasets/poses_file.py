@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.geometry import to_rotation
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.files import data_lines, read_bytes, to_numbers
-from rbtm_bench.errors import DataError
-from rbtm_bench.geometry import to_rotation
-from rbtm_bench.types import Array
 
 TUM_COLUMNS, KITTI_COLUMNS = 8, 12
 

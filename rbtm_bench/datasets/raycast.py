@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 WALL_BOTTOM = -1.0
 WALL_TOP = 1.0

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.environments import arc
 from rbtm_bench.datasets.raycast import Mesh, box_mesh, make_scene, merge, pillar_mesh, scan_cloud
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.types import Array
 
 SENSOR_HEIGHT = 1.2
 MAX_RANGE = 60.0

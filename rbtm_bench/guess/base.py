@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from rbtm_bench.backends.base import Backend, Prepared
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.geometry import inverse
+from rbtm_bench.core.types import Array, Node, Scan
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.geometry import inverse
-from rbtm_bench.types import Array, Node, Scan
 
 
 class Guess(ABC):

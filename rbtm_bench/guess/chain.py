@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rbtm_bench.backends.base import Backend, Prepared
-from rbtm_bench.errors import BackendError
-from rbtm_bench.geometry import inverse
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.geometry import inverse
+from rbtm_bench.core.trajectory import orthonormalised
+from rbtm_bench.core.types import Array, Node, Scan
 from rbtm_bench.guess.base import IDENTITY, Guess
-from rbtm_bench.trajectory import orthonormalised
-from rbtm_bench.types import Array, Node, Scan
 
 
 class Chain(Guess):

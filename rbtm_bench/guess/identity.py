@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rbtm_bench.core.types import Array, Node, Scan
 from rbtm_bench.guess.base import IDENTITY, Guess
-from rbtm_bench.types import Array, Node, Scan
 
 
 class Identity(Guess):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rbtm_bench.geometry import inverse
+from rbtm_bench.core.geometry import inverse
+from rbtm_bench.core.types import Array, Node, Scan
 from rbtm_bench.guess.base import Guess, from_previous, odometry_of
-from rbtm_bench.types import Array, Node, Scan
 
 
 class Odometry(Guess):

@@ -6,10 +6,10 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Relations
 from rbtm_bench.metrics.base import Metric, Values, paired
-from rbtm_bench.trajectory import Trajectory
-from rbtm_bench.types import Array
 
 RANK_TOLERANCE = 1e-12
 """Ratio of the second to the first singular value below which positions count as collinear."""

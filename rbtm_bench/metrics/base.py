@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.trajectory import Mask, Trajectory, orthonormalised
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Dataset, Relations
-from rbtm_bench.errors import DataError
-from rbtm_bench.trajectory import Mask, Trajectory, orthonormalised
-from rbtm_bench.types import Array
 
 Values = dict[str, float | int | None]
 """Metric key -> value; None says that the number does not exist."""

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from rbtm_bench.core.types import Array, StepRecord
 from rbtm_bench.metrics.base import Values
-from rbtm_bench.types import Array, StepRecord
 
 STAGES = ("prepare", "describe", "guess", "select", "register")
 """What a scan has to go through: their times add up to its time. What is left out is ours: the

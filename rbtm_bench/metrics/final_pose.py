@@ -7,11 +7,11 @@ from typing import Annotated, ClassVar
 import numpy as np
 from annotated_types import Gt
 
+from rbtm_bench.core.geometry import inverse, rotation_angle, yaw
+from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Relations
-from rbtm_bench.geometry import inverse, rotation_angle, yaw
 from rbtm_bench.metrics.base import Metric, Values, paired
-from rbtm_bench.trajectory import Trajectory
-from rbtm_bench.types import Array
 
 PLANAR_TOLERANCE = 1e-6
 """m and rad by which a motion may leave the plane z = 0 of the first pose and count as planar."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
+from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.datasets.base import Relations
 from rbtm_bench.metrics.ape import is_collinear
 from rbtm_bench.metrics.base import Metric, Values, paired
-from rbtm_bench.trajectory import Trajectory
 
 _SEGMENTS = "kiss_icp.metrics.sequence_error (KITTI's development kit, Geiger et al. 2012)"
 _FITTED = "kiss_icp.metrics.absolute_trajectory_error"

@@ -12,13 +12,13 @@ from typing import Annotated, ClassVar
 import numpy as np
 from annotated_types import Ge, Gt
 
+from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.geometry import inverse, transform
+from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.errors import DataError
-from rbtm_bench.geometry import inverse, transform
 from rbtm_bench.metrics.base import MIN_POSES, REFERENCES, ScanMetric, Values
 from rbtm_bench.metrics.neighbourhoods import Integers, occupied_cells, scatter
-from rbtm_bench.trajectory import Trajectory
-from rbtm_bench.types import Array
 
 RADIUS_M = {True: 0.3, False: 1.0}
 """Unless told otherwise, for planar scans and clouds. Of clouds with rings 0.3 m (the default of

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench.kernels import kernel
-from rbtm_bench.types import Array
+from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.types import Array
 
 Integers = NDArray[np.int64]
 

@@ -12,12 +12,12 @@ import numpy as np
 from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
+from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
+from rbtm_bench.core.trajectory import Mask, Trajectory
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Relations
-from rbtm_bench.geometry import inverse, rotation_angle, translation_norm
 from rbtm_bench.metrics.base import Metric, Values
-from rbtm_bench.relation_errors import RelationErrors
-from rbtm_bench.trajectory import Mask, Trajectory
-from rbtm_bench.types import Array
+from rbtm_bench.metrics.relation_errors import RelationErrors
 
 _SOURCE = "Kuemmerle et al. 2009, absolute error"
 

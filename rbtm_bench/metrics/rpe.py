@@ -6,9 +6,9 @@ from typing import Annotated, ClassVar
 
 from annotated_types import Ge
 
+from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.datasets.base import Relations
 from rbtm_bench.metrics.base import Metric, Values, paired
-from rbtm_bench.trajectory import Trajectory
 
 _SOURCE = "evo.core.metrics.RPE (Sturm et al. 2012)"
 

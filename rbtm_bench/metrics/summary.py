@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rbtm_bench.degeneracy import DEGENERATE
+from rbtm_bench.core.types import StepRecord
 from rbtm_bench.metrics import cost
 from rbtm_bench.metrics.base import Values
-from rbtm_bench.types import StepRecord
+from rbtm_bench.odometry.degeneracy import DEGENERATE
 
 COLUMNS = {
     "coverage": "share; scans with an accepted registration over all scans but the first; steps",

@@ -13,9 +13,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import PercentFormatter
 
+from rbtm_bench.core.types import Array
 from rbtm_bench.plots import style
 from rbtm_bench.plots.looks import GREY, OTHERS, Look
-from rbtm_bench.types import Array
 
 COLUMNS = 3
 PANEL = (2.2, 1.9)

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench.errors import DataError
-from rbtm_bench.geometry import inverse
-from rbtm_bench.occupancy import Occupancy
-from rbtm_bench.results import Run
-from rbtm_bench.trajectory import Trajectory
-from rbtm_bench.types import Array
+from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.geometry import inverse
+from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.core.types import Array
+from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.occupancy import Occupancy
 
 NEWER = "localizability_min"
 """A column that runs of version 0.1.0 do not have."""

@@ -6,9 +6,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from rbtm_bench import results
 from rbtm_bench.plots import labels
-from rbtm_bench.results import Run
+from rbtm_bench.report import frame
+from rbtm_bench.report.frame import Run
 
 FEW = 6
 """Methods that lines in one panel can tell apart."""
@@ -148,10 +148,10 @@ def method_names(runs: Sequence[Run]) -> dict[Run, str]:
     keys: dict[tuple[str, str], set[str]] = {}
     for run in runs:
         place = (names[run], labels.key_of(run, ("backend",)))
-        keys.setdefault(place, set()).add(results.method_key(run))
+        keys.setdefault(place, set()).add(frame.method_key(run))
     if all(len(found) == 1 for found in keys.values()):
         return names
-    varied = results.varied_settings(runs)
+    varied = frame.varied_settings(runs)
     return {
         run: ", ".join(filter(None, [name, varied[run.path]]))
         if len(keys[name, labels.key_of(run, ("backend",))]) > 1

@@ -12,13 +12,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from rbtm_bench.core.types import Array
 from rbtm_bench.metrics.ape import Ape
 from rbtm_bench.plots import labels, panels, style
 from rbtm_bench.plots.folder import Paths, read_paths
 from rbtm_bench.plots.groups import Data, Panel
 from rbtm_bench.plots.looks import GUESS, Look, looks
-from rbtm_bench.results import Run
-from rbtm_bench.types import Array
+from rbtm_bench.report.frame import Run
 
 COLUMNS = 3
 TALL = 2.0

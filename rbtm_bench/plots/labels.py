@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rbtm_bench import tables
-from rbtm_bench.errors import DataError
-from rbtm_bench.results import SAME_FOR_ALL_SEEDS, Run, read_run
+from rbtm_bench.core.errors import DataError
+from rbtm_bench.report import tables
+from rbtm_bench.report.frame import SAME_FOR_ALL_SEEDS, Run, read_run
 
 ALWAYS = ("window", "threshold", "gap")
 """Settings of a selector that a method's name always gives; others where they differ."""

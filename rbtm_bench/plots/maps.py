@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 
+from rbtm_bench.core.types import Array
 from rbtm_bench.plots import labels, style
 from rbtm_bench.plots.folder import Scene, read_scene
 from rbtm_bench.plots.pairs import Pair
-from rbtm_bench.results import Run
-from rbtm_bench.types import Array
+from rbtm_bench.report.frame import Run
 
 Limits = tuple[float, float, float, float]
 """x from, x to, y from, y to, in m."""

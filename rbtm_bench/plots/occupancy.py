@@ -11,10 +11,10 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from rbtm_bench.occupancy import Occupancy
 from rbtm_bench.plots import labels, maps, style
 from rbtm_bench.plots.folder import read_occupancy, read_scene
-from rbtm_bench.results import Run
+from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.occupancy import Occupancy
 
 UNKNOWN = "#B9D3E6"
 """Pale blue: no shade of the scale, and a light grey in print."""

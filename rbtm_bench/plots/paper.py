@@ -20,10 +20,10 @@ from matplotlib.patches import FancyArrowPatch, Patch, Polygon
 from matplotlib.path import Path as MplPath
 from matplotlib.ticker import MaxNLocator, MultipleLocator
 
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.environments import Segment
 from rbtm_bench.plots import maps, style
 from rbtm_bench.plots.folder import Scene, Steps
-from rbtm_bench.types import Array
 
 CM = 100.0
 WALL = "0.75"

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from rbtm_bench.plots import style
 from rbtm_bench.plots.matrix import UNDEFINED
-from rbtm_bench.scorematrix import Scores
+from rbtm_bench.similarity.scorematrix import Scores
 
 DRAWN = 1000
 """Scans on a side that are drawn; more than a page has room for."""

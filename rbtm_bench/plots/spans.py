@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
+from rbtm_bench.core.types import Array
+from rbtm_bench.metrics.relation_errors import FILE, RelationErrors
 from rbtm_bench.plots import labels, panels
 from rbtm_bench.plots.groups import Data, Panel
 from rbtm_bench.plots.looks import GUESS, looks
-from rbtm_bench.relation_errors import FILE, RelationErrors
-from rbtm_bench.results import Run
-from rbtm_bench.types import Array
+from rbtm_bench.report.frame import Run
 
 COLUMNS = 3
 TALL = 2.0

@@ -10,10 +10,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from rbtm_bench.degeneracy import DEGENERATE
+from rbtm_bench.odometry.degeneracy import DEGENERATE
 from rbtm_bench.plots import labels, style
 from rbtm_bench.plots.folder import Steps, read_steps
-from rbtm_bench.results import Run
+from rbtm_bench.report.frame import Run
 
 LEAST = 1e-5
 """Smaller eigenvalues are drawn here."""

@@ -18,8 +18,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.textpath import TextPath
 
-from rbtm_bench.errors import DataError
-from rbtm_bench.files import write_atomically
+from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.files import write_atomically
 
 SINGLE = 3.4
 """Width of a paper's column, inches."""

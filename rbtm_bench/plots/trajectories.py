@@ -12,14 +12,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from rbtm_bench.geometry import inverse
+from rbtm_bench.core.geometry import inverse
+from rbtm_bench.core.types import Array
 from rbtm_bench.plots import labels, panels, style
 from rbtm_bench.plots.folder import read_paths
 from rbtm_bench.plots.groups import Data, Panel
 from rbtm_bench.plots.looks import GUESS, TRUTH, Look, looks
 from rbtm_bench.plots.maps import START, Limits
-from rbtm_bench.results import Run
-from rbtm_bench.types import Array
+from rbtm_bench.report.frame import Run
 
 COLUMNS = 3
 TALL = 3.0

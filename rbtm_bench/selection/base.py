@@ -10,9 +10,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
+from rbtm_bench.core.uncertainty import InformationFrom
 from rbtm_bench.selection.window import Keyframes, Window
-from rbtm_bench.types import Array, Node, RegistrationResult, Scan
-from rbtm_bench.uncertainty import InformationFrom
 
 Fallback = Literal["previous", "best", "skip"]
 Content = Literal["scans", "keyframes"]

@@ -8,9 +8,9 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
+from rbtm_bench.core.types import Array
 from rbtm_bench.selection.base import Content, Fallback
 from rbtm_bench.selection.thresholded import ThresholdSelector
-from rbtm_bench.types import Array
 
 
 class Best(ThresholdSelector):

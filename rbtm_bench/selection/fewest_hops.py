@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rbtm_bench.core.types import Array, Node
 from rbtm_bench.selection.thresholded import ChainSelector
-from rbtm_bench.types import Array, Node
 
 
 class FewestHops(ChainSelector):

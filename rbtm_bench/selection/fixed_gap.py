@@ -8,8 +8,8 @@ import numpy as np
 from annotated_types import Ge
 from numpy.typing import NDArray
 
+from rbtm_bench.core.types import Array
 from rbtm_bench.selection.base import Selector
-from rbtm_bench.types import Array
 
 
 class FixedGap(Selector):

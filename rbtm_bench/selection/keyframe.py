@@ -8,9 +8,9 @@ import numpy as np
 from annotated_types import Gt
 from numpy.typing import NDArray
 
+from rbtm_bench.core.types import Array
 from rbtm_bench.selection.base import Selector
 from rbtm_bench.selection.window import Keyframes, Window
-from rbtm_bench.types import Array
 
 
 class Keyframe(Selector):

@@ -7,10 +7,10 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
+from rbtm_bench.core.types import Array, Node
+from rbtm_bench.core.uncertainty import InformationFrom, position_std
 from rbtm_bench.selection.base import Content, Fallback
 from rbtm_bench.selection.thresholded import ChainSelector
-from rbtm_bench.types import Array, Node
-from rbtm_bench.uncertainty import InformationFrom, position_std
 
 
 class LeastUncertain(ChainSelector):

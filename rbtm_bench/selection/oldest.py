@@ -8,9 +8,9 @@ import numpy as np
 from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
+from rbtm_bench.core.types import Array
 from rbtm_bench.selection.base import Content, Selector, keyframes_or_scans
 from rbtm_bench.selection.window import Window
-from rbtm_bench.types import Array
 
 
 class Oldest(Selector):

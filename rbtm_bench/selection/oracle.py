@@ -9,11 +9,11 @@ import numpy as np
 from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
-from rbtm_bench.errors import DataError
-from rbtm_bench.geometry import inverse, transform
+from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.geometry import inverse, transform
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.selection.base import Content, Selector, Trial, keyframes_or_scans
 from rbtm_bench.selection.window import Window
-from rbtm_bench.types import Array, Scan
 
 
 class Oracle(Selector):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rbtm_bench.core.types import Array
 from rbtm_bench.selection.base import Selector
-from rbtm_bench.types import Array
 
 
 class Previous(Selector):

@@ -10,10 +10,10 @@ import numpy as np
 from annotated_types import Ge
 from numpy.typing import NDArray
 
-from rbtm_bench.errors import ConfigError, DataError
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.types import Array
 from rbtm_bench.selection.base import Selector
 from rbtm_bench.selection.fixed_gap import nearest_gap
-from rbtm_bench.types import Array
 
 
 class RandomGap(Selector):

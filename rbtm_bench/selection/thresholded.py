@@ -10,6 +10,7 @@ import numpy as np
 from annotated_types import Ge, Gt, Le
 from numpy.typing import NDArray
 
+from rbtm_bench.core.types import Array, Node
 from rbtm_bench.selection.base import (
     Content,
     Fallback,
@@ -18,7 +19,6 @@ from rbtm_bench.selection.base import (
     keyframes_or_scans,
 )
 from rbtm_bench.selection.window import Window
-from rbtm_bench.types import Array, Node
 
 
 class ThresholdSelector(Selector):

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench.geometry import inverse, rotation_angle, translation_norm
-from rbtm_bench.types import Node
+from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
+from rbtm_bench.core.types import Node
 
 
 @dataclass(frozen=True)

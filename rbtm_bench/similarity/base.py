@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.types import Array, Scan
 
 Descriptor = NDArray[Any]
 

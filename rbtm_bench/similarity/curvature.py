@@ -12,9 +12,9 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Le
 
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.similarity.base import Descriptor, PairwiseSimilarity, require_beams
-from rbtm_bench.types import Array, Scan
 
 NEGLIGIBLE_VARIANCE = 1e-12
 """rad^2: below this the angles of a scan are equal to within rounding."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench.kernels import kernel
+from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.types import Array
 from rbtm_bench.similarity.points import (
     Points,
     PointSimilarity,
@@ -15,7 +16,6 @@ from rbtm_bench.similarity.points import (
     points_of,
     walk,
 )
-from rbtm_bench.types import Array
 
 TIE = 1e-9
 """m: neighbours nearer than the nearest by less than this are as near; rounding, and points that

@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt
 
-from rbtm_bench.kernels import kernel
+from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.types import Array
 from rbtm_bench.similarity.points import (
     Points,
     PointSimilarity,
@@ -16,7 +17,6 @@ from rbtm_bench.similarity.points import (
     points_of,
     walk,
 )
-from rbtm_bench.types import Array
 
 
 class Overlap(PointSimilarity):

@@ -15,11 +15,11 @@ import numpy as np
 from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
-from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.geometry import voxel_downsample
-from rbtm_bench.kernels import kernel
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.geometry import voxel_downsample
+from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.similarity.base import Descriptor, Similarity
-from rbtm_bench.types import Array, Scan
 
 Points = NDArray[np.float32]
 

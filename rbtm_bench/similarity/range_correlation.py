@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Le
 
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.similarity.base import (
     Descriptor,
@@ -15,7 +16,6 @@ from rbtm_bench.similarity.base import (
     beam_spacing,
     require_beams,
 )
-from rbtm_bench.types import Array, Scan
 
 NEGLIGIBLE_VARIANCE = 1e-6
 """m^2: below this (1 mm of deviation) the ranges are those of a circle around the sensor."""

@@ -7,11 +7,11 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.errors import ConfigError
 from rbtm_bench.similarity.base import Descriptor
 from rbtm_bench.similarity.curvature_circular import CurvatureCircular
-from rbtm_bench.types import Array, Scan
 
 
 class VirtualScan(CurvatureCircular):

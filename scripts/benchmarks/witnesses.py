@@ -39,6 +39,8 @@ SELECTORS = (
     "best,fewest_hops,fixed_gap,keyframe,least_uncertain,oldest,oracle,previous,random_gap,rbtm,"
     "rbtm_verified"
 )
+SIMILARITIES = "curvature,curvature_circular,range_correlation,overlap,mutual_neighbours"
+GUESSES = "odometry,odometry_chained,chain,constant_velocity,identity"
 
 
 def commands(data: Path) -> dict[str, list[str]]:
@@ -49,21 +51,26 @@ def commands(data: Path) -> dict[str, list[str]]:
     turn = ["dataset=corridor", "dataset.environment=l_turn"]
     few = [*aces, "dataset.max_scans=200"]
     rbtm = ["selector=rbtm", "selector.window=10"]
-    return {
-        "planar": ["compare", *aces, "dataset.max_scans=300", f"backend={PLANAR}", *rbtm],
-        "space": ["compare", "dataset=kitti", f"dataset.path={data / 'kitti'}"]
-        + [f"backend={IN_SPACE}", "selector=rbtm", "selector.window=4", "selector.threshold=0.4"],
-        "selectors": ["compare", *turn, "backend=plicp", f"selector={SELECTORS}", "check=gated"]
-        + ["selector.window=12", "seed=3", "guess_along_degenerate=0.01"],
-        "similarities": ["compare", *few, "backend=open3d_p2plane", *rbtm]
-        + ["similarity=curvature,curvature_circular,range_correlation,overlap,mutual_neighbours"],
-        "guesses": ["compare", *few, "backend=plicp", "selector=keyframe,rbtm"]
-        + ["guess=odometry,odometry_chained,chain,constant_velocity,identity"],
-        "targets": ["compare", *few, "backend=open3d_gicp", *rbtm, "target=single,local_map"]
-        + ["check=none,gated", "selector.content=keyframes,scans", "selector.fallback=skip"],
-        "sweep": ["sweep", *few, "backend=open3d_p2p", "selector=rbtm"]
-        + ["selector.window=4,10", "selector.threshold=0.5,0.7"],
+    grids = {
+        "planar": [*aces, "dataset.max_scans=300", f"backend={PLANAR}", *rbtm],
+        "space": [
+            *("dataset=kitti", f"dataset.path={data / 'kitti'}", f"backend={IN_SPACE}"),
+            *("selector=rbtm", "selector.window=4", "selector.threshold=0.4"),
+        ],
+        "selectors": [
+            *(*turn, "backend=plicp", f"selector={SELECTORS}", "check=gated"),
+            *("selector.window=12", "seed=3", "guess_along_degenerate=0.01"),
+        ],
+        "similarities": [*few, "backend=open3d_p2plane", *rbtm, f"similarity={SIMILARITIES}"],
+        "guesses": [*few, "backend=plicp", "selector=keyframe,rbtm", f"guess={GUESSES}"],
+        "targets": [
+            *(*few, "backend=open3d_gicp", *rbtm, "target=single,local_map", "check=none,gated"),
+            *("selector.content=keyframes,scans", "selector.fallback=skip"),
+        ],
     }
+    sweep = [*few, "backend=open3d_p2p", "selector=rbtm", "selector.window=4,10"]
+    folders = {name: ["compare", *words] for name, words in grids.items()}
+    return {**folders, "sweep": ["sweep", *sweep, "selector.threshold=0.5,0.7"]}
 
 
 def make(folder: Path) -> int:
@@ -108,7 +115,9 @@ def _file(before: Path, after: Path) -> list[str]:
     if before.suffix == ".json":
         a, b = (json.loads(path.read_text()) for path in (before, after))
         keys = [key for key in {**a, **b} if not MOOD.match(key)]
-        return [f"{k}: {a.get(k)} became {b.get(k)}" for k in keys if not _equal(a.get(k), b.get(k))]
+        return [
+            f"{k}: {a.get(k)} became {b.get(k)}" for k in keys if not _equal(a.get(k), b.get(k))
+        ]
     a, b = pd.read_parquet(before), pd.read_parquet(after)
     lines = []
     for column in [c for c in {**dict.fromkeys(a), **dict.fromkeys(b)} if not MOOD.match(c)]:

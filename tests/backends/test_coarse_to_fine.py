@@ -10,9 +10,9 @@ from rbtm_bench.backends.open3d_icp import Open3DICP
 from rbtm_bench.backends.open3d_p2p import Open3DPointToPoint
 from rbtm_bench.backends.open3d_p2plane import Open3DPointToPlane
 from rbtm_bench.contract.scene import WORLDS
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.geometry import inverse, se2, translation_norm
-from rbtm_bench.types import RegistrationResult
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.geometry import inverse, se2, translation_norm
+from rbtm_bench.core.types import RegistrationResult
 
 METHODS: list[type[Open3DICP]] = [Open3DPointToPoint, Open3DPointToPlane, Open3DGeneralizedICP]
 TRUTH = se2(0.35, 0.2, 0.0)

@@ -146,7 +146,7 @@ WRONG = {
     ),
     ("target", "elsewhere"): (
         "test_the_target_lies_in_the_model_scan_s_frame",
-        "rbtm_bench.target.SingleScan",
+        "rbtm_bench.target.base.SingleScan",
         """
         def build(self, model, window, backend):
             return backend.merge([(window.node(model).prepared, window.node(model).T_world_scan)])
@@ -167,7 +167,7 @@ HEAD = """
 from dataclasses import replace
 from importlib import import_module
 import numpy as np
-from rbtm_bench.geometry import inverse, is_rigid, se2
+from rbtm_bench.core.geometry import inverse, is_rigid, se2
 from rbtm_bench.selection.base import Candidate, Selection
 """
 

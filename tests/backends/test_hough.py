@@ -16,7 +16,7 @@ from rbtm_bench.backends.hough import (
     peaks,
     vote,
 )
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 UPRIGHT = (1.0, 0.0)
 CELL = 0.05

@@ -12,12 +12,12 @@ from rbtm_bench.backends.hough_search import likeliest, likelihood, surfaces
 from rbtm_bench.backends.hsm import HoughScanMatching
 from rbtm_bench.backends.neighbours_2d import sorted_2d
 from rbtm_bench.contract.scene import ANGLES, ROOM, cast, outline, planar_scan
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.geometry import inverse, rotation_angle, se2, transform, translation_norm, yaw
+from rbtm_bench.core.types import Array, RegistrationResult, Scan
 from rbtm_bench.datasets.base import beam_points
 from rbtm_bench.datasets.environments import ENVIRONMENTS
 from rbtm_bench.datasets.raycast import scan_walls
-from rbtm_bench.errors import BackendError
-from rbtm_bench.geometry import inverse, rotation_angle, se2, transform, translation_norm, yaw
-from rbtm_bench.types import Array, RegistrationResult, Scan
 
 START = se2(0.5, -0.4, 0.3)
 RECTANGLE = outline((-3, -2), (4, -2), (4, 2), (-3, 2))

@@ -9,8 +9,8 @@ import pytest
 
 from rbtm_bench.backends.kiss_icp import KissICP
 from rbtm_bench.contract.scene import WORLDS
-from rbtm_bench.geometry import se2, transform
-from rbtm_bench.types import Scan
+from rbtm_bench.core.geometry import se2, transform
+from rbtm_bench.core.types import Scan
 
 
 @pytest.fixture(scope="module")

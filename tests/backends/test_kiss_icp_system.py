@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from rbtm_bench.backends.kiss_icp_system import KissICPSystem
+from rbtm_bench.core.errors import BackendError, ConfigError
+from rbtm_bench.core.geometry import inverse, translation_norm
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.corridor import Corridor
 from rbtm_bench.datasets.simulated_hall import drive, simulate
-from rbtm_bench.errors import BackendError, ConfigError
-from rbtm_bench.geometry import inverse, translation_norm
-from rbtm_bench.settings import compose_settings
-from rbtm_bench.types import Array, Scan
+from rbtm_bench.runs.settings import compose_settings
 
 SCANS = 12
 

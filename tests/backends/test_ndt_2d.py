@@ -13,10 +13,10 @@ from rbtm_bench.backends.ndt_2d import NDT2D, information, maximise, newton_step
 from rbtm_bench.backends.ndt_2d_cells import cells_of
 from rbtm_bench.backends.open3d_p2p import Open3DPointToPoint
 from rbtm_bench.contract.scene import WORLDS, cast, outline
+from rbtm_bench.core.errors import BackendError, ConfigError
+from rbtm_bench.core.geometry import inverse, rotation_angle, se2, transform, translation_norm, yaw
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import beam_points
-from rbtm_bench.errors import BackendError, ConfigError
-from rbtm_bench.geometry import inverse, rotation_angle, se2, transform, translation_norm, yaw
-from rbtm_bench.types import Array, Scan
 
 WORLD = WORLDS["2d"]
 STILL = np.zeros(3)

@@ -14,8 +14,15 @@ from rbtm_bench.backends.open3d_p2p import Open3DPointToPoint
 from rbtm_bench.backends.open3d_p2plane import Open3DPointToPlane
 from rbtm_bench.backends.open3d_symmetric import Open3DSymmetric
 from rbtm_bench.contract.scene import WORLDS, rotation
-from rbtm_bench.geometry import adjoint, information_in_source_frame, inverse, se2, se3, transform
-from rbtm_bench.types import Array
+from rbtm_bench.core.geometry import (
+    adjoint,
+    information_in_source_frame,
+    inverse,
+    se2,
+    se3,
+    transform,
+)
+from rbtm_bench.core.types import Array
 
 METHODS: list[type[Open3DICP]] = [
     Open3DPointToPoint,

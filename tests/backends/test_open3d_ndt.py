@@ -10,10 +10,10 @@ import pytest
 from rbtm_bench.backends.open3d_ndt import Open3DNDT
 from rbtm_bench.backends.open3d_p2p import Open3DPointToPoint
 from rbtm_bench.contract.scene import WORLDS, World, cloud
-from rbtm_bench.errors import BackendError, ConfigError
-from rbtm_bench.geometry import inverse, rotation_angle, se2, translation_norm
-from rbtm_bench.settings import compose_settings
-from rbtm_bench.types import Array, RegistrationResult, Scan
+from rbtm_bench.core.errors import BackendError, ConfigError
+from rbtm_bench.core.geometry import inverse, rotation_angle, se2, translation_norm
+from rbtm_bench.core.types import Array, RegistrationResult, Scan
+from rbtm_bench.runs.settings import compose_settings
 
 
 def register(method: Open3DNDT, source: Scan, target: Scan, guess: Array) -> RegistrationResult:

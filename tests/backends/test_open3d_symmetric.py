@@ -11,8 +11,8 @@ import pytest
 from rbtm_bench.backends.open3d_p2plane import Open3DPointToPlane
 from rbtm_bench.backends.open3d_symmetric import Open3DSymmetric
 from rbtm_bench.contract.scene import WORLDS, World, rotation
-from rbtm_bench.geometry import inverse, rotation_angle, se2, se3, transform, translation_norm
-from rbtm_bench.types import Array, Scan
+from rbtm_bench.core.geometry import inverse, rotation_angle, se2, se3, transform, translation_norm
+from rbtm_bench.core.types import Array, Scan
 
 
 def off(T: Array, truth: Array) -> tuple[float, float]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rbtm_bench.backends.planar import covariances_of_discs, normals_2d
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 
 def flat(x: Array, y: Array) -> Array:

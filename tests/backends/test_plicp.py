@@ -16,12 +16,12 @@ from rbtm_bench.backends.open3d_p2p import Open3DPointToPoint
 from rbtm_bench.backends.open3d_p2plane import Open3DPointToPlane
 from rbtm_bench.backends.plicp import CYCLED, PointToLineICP, iterate, turned
 from rbtm_bench.contract.scene import ANGLES, ROOM, cast, cloud, planar_scan
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.geometry import inverse, rotation_angle, se2, transform, translation_norm
+from rbtm_bench.core.types import Array, RegistrationResult, Scan
 from rbtm_bench.datasets.base import beam_points
 from rbtm_bench.datasets.carmen import Carmen
 from rbtm_bench.datasets.corridor import Corridor
-from rbtm_bench.errors import BackendError
-from rbtm_bench.geometry import inverse, rotation_angle, se2, transform, translation_norm
-from rbtm_bench.types import Array, RegistrationResult, Scan
 
 START, TRUTH = se2(0.3, -0.2, 0.2), se2(0.1, 0.05, 0.05)
 PLACES = {"paper": 0.05, "cluttered": 0.15, "l_turn": 0.15}

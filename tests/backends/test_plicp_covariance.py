@@ -9,9 +9,9 @@ import pytest
 
 from rbtm_bench.backends.plicp import PointToLineICP
 from rbtm_bench.contract.scene import cast, planar_scan
+from rbtm_bench.core.geometry import inverse, se2, yaw
+from rbtm_bench.core.types import Array, RegistrationResult, Scan
 from rbtm_bench.datasets.base import beam_points
-from rbtm_bench.geometry import inverse, se2, yaw
-from rbtm_bench.types import Array, RegistrationResult, Scan
 
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 METRICS = ("point_to_line", "point_to_point")

@@ -15,7 +15,7 @@ from rbtm_bench.backends.plicp_match import (
     trim,
 )
 from rbtm_bench.backends.plicp_step import Matches
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 
 def flat(xy: Array) -> Array:

@@ -15,8 +15,8 @@ from rbtm_bench.backends.plicp_step import (
     step_to_lines,
     step_to_points,
 )
-from rbtm_bench.geometry import se2
-from rbtm_bench.types import Array
+from rbtm_bench.core.geometry import se2
+from rbtm_bench.core.types import Array
 
 SEEDS = range(5)
 

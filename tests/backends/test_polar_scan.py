@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rbtm_bench.backends.polar_scan import Bins, bins_of, polar_scan, project
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 HERE = (0.0, 0.0, 0.0)
 

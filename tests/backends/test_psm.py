@@ -10,12 +10,12 @@ from rbtm_bench.backends.open3d_p2p import Open3DPointToPoint
 from rbtm_bench.backends.polar_scan import bins_of
 from rbtm_bench.backends.psm import PolarScanMatching, orientation, translation
 from rbtm_bench.contract.scene import WORLDS, cast, outline, planar_scan
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.geometry import inverse, rotation_angle, se2, transform, translation_norm, yaw
+from rbtm_bench.core.types import Array, RegistrationResult, Scan
 from rbtm_bench.datasets.base import beam_points
 from rbtm_bench.datasets.environments import ENVIRONMENTS
 from rbtm_bench.datasets.raycast import scan_walls
-from rbtm_bench.errors import BackendError
-from rbtm_bench.geometry import inverse, rotation_angle, se2, transform, translation_norm, yaw
-from rbtm_bench.types import Array, RegistrationResult, Scan
 
 BEARINGS = np.deg2rad(np.arange(360.0))
 BINS = bins_of(np.column_stack([np.cos(BEARINGS), np.sin(BEARINGS)]), 360)

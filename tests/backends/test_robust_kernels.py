@@ -13,8 +13,8 @@ from rbtm_bench.backends.open3d_icp import Open3DICP
 from rbtm_bench.backends.open3d_p2p import Open3DPointToPoint
 from rbtm_bench.backends.open3d_p2plane import Open3DPointToPlane
 from rbtm_bench.contract.scene import WORLDS
-from rbtm_bench.geometry import se2, transform
-from rbtm_bench.types import Array, Scan
+from rbtm_bench.core.geometry import se2, transform
+from rbtm_bench.core.types import Array, Scan
 
 METHODS: list[type[Open3DICP]] = [Open3DPointToPoint, Open3DPointToPlane, Open3DGeneralizedICP]
 SCALES = {"huber": 0.05, "cauchy": 0.05, "geman_mcclure": 0.05, "tukey": 0.1}

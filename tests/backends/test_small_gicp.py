@@ -12,11 +12,11 @@ from scipy.spatial import cKDTree
 
 from rbtm_bench.backends.planar import lifted, normals_2d
 from rbtm_bench.contract.scene import WORLDS, World
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.geometry import inverse, rotation_angle, se2, transform, translation_norm
+from rbtm_bench.core.types import Array, RegistrationResult, Scan
 from rbtm_bench.datasets.carmen import Carmen
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.geometry import inverse, rotation_angle, se2, transform, translation_norm
-from rbtm_bench.settings import compose_settings
-from rbtm_bench.types import Array, RegistrationResult, Scan
+from rbtm_bench.runs.settings import compose_settings
 
 small_gicp = pytest.importorskip("small_gicp")
 from rbtm_bench.backends.small_gicp import SmallGICP  # noqa: E402

@@ -7,9 +7,9 @@ import pytest
 
 from rbtm_bench.backends.none import NoRegistration
 from rbtm_bench.contract.scene import WORLDS
-from rbtm_bench.errors import BackendError
-from rbtm_bench.geometry import se2
-from rbtm_bench.types import Array, Scan
+from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.geometry import se2
+from rbtm_bench.core.types import Array, Scan
 
 
 def scan(points: Array, planar: bool = False) -> Scan:

@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 import yaml
 
-from rbtm_bench.cli import main
+from rbtm_bench.cli.main import main
 
 WORDS = [
     "calibrate",

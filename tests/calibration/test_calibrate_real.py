@@ -11,10 +11,10 @@ import pytest
 from rbtm_bench.calibration.plan import Plan
 from rbtm_bench.calibration.sampling import GAP, REVISIT, draw
 from rbtm_bench.calibration.track import track_of
-from rbtm_bench.cli import main
+from rbtm_bench.cli.main import main
+from rbtm_bench.core.geometry import translation_norm
 from rbtm_bench.datasets.carmen import Carmen
 from rbtm_bench.datasets.kitti import Kitti
-from rbtm_bench.geometry import translation_norm
 
 
 def test_relations_of_a_log(

@@ -7,8 +7,8 @@ import pytest
 
 from rbtm_bench.calibration.consistency import contradiction
 from rbtm_bench.calibration.measuring import Task, _disturbed_starts
-from rbtm_bench.geometry import inverse, se2
-from rbtm_bench.types import Array, RegistrationResult
+from rbtm_bench.core.geometry import inverse, se2
+from rbtm_bench.core.types import Array, RegistrationResult
 
 POSES = {0: se2(0, 0, 0), 2: se2(1, 0, 0.1), 4: se2(2, 0.5, 0.3)}
 STARTS = {(t, s): np.eye(4) for t in POSES for s in POSES}

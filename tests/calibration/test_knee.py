@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rbtm_bench.calibration.knee import knee
-from rbtm_bench.types import Array
+from rbtm_bench.core.types import Array
 
 PAIRS, BLOCKS = 600, 30
 

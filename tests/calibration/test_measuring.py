@@ -9,17 +9,18 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rbtm_bench import comparison, settings
 from rbtm_bench.calibration import measuring
 from rbtm_bench.calibration.plan import Plan
 from rbtm_bench.calibration.sampling import draw
 from rbtm_bench.calibration.track import track_of
-from rbtm_bench.experiment import build
+from rbtm_bench.engine import drive
+from rbtm_bench.runs import settings
+from rbtm_bench.runs.experiment import build
 
 PLUGIN = '''
 import os
 from rbtm_bench.backends.base import Alignment, Backend
-from rbtm_bench.errors import BackendError
+from rbtm_bench.core.errors import BackendError
 
 class Moody(Backend):
     """Says no to scan 7 as the source, and ends its process at scan 20."""
@@ -46,7 +47,7 @@ def test_failed_and_deadly_pairs_are_rows(moody: dict[str, Any]) -> None:
     data = found.config["dataset"]
     sample = draw(track_of(build(data)), Plan(gaps=(1, 2), pairs=60))
     done: list[int] = []
-    with comparison.make_crew(1) as crew:
+    with drive.make_crew(1) as crew:
         rows = measuring.register(crew, data, moody, sample, 0, True, done.append)
     assert isinstance(rows, pd.DataFrame) and len(rows) == len(sample.rows) == sum(done)
     source = sample.rows["source"].to_numpy()
@@ -66,7 +67,7 @@ def test_scores_are_those_of_single_calls() -> None:
     dataset, similarity = build(data), build(node)
     sample = draw(track_of(dataset), Plan(gaps=(1, 3, 6), pairs=20))
     target, source = (sample.rows[c].to_numpy() for c in ("target", "source"))
-    with comparison.make_crew(1) as crew:
+    with drive.make_crew(1) as crew:
         scores = measuring.score(
             crew, data, node, target, source, sample.guess, True, lambda n: None
         )
@@ -86,7 +87,7 @@ def test_the_same_bits_with_one_process_and_with_two() -> None:
     sample = draw(track_of(build(data)), Plan(gaps=(1, 6), pairs=40, disturb=(0.05, 2.0)))
     several = []
     for jobs in (1, 2):
-        with comparison.make_crew(jobs) as crew:
+        with drive.make_crew(jobs) as crew:
             rows = measuring.register(crew, data, node, sample, 0, True, lambda n: None)
         several.append(rows.drop(columns="seconds"))
     pd.testing.assert_frame_equal(*several, check_exact=True)

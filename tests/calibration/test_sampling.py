@@ -20,10 +20,10 @@ from rbtm_bench.calibration.plan import Plan
 from rbtm_bench.calibration.reference import known_motions
 from rbtm_bench.calibration.sampling import GAP, REVISIT, Sample, draw
 from rbtm_bench.calibration.track import Track
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.geometry import inverse, rotation_angle, se2, translation_norm
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Relations
-from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.geometry import inverse, rotation_angle, se2, translation_norm
-from rbtm_bench.types import Array
 
 
 def line(count: int = 100, step: float = 0.1) -> Array:

@@ -9,8 +9,8 @@ import pytest
 
 from rbtm_bench.check.gated import Gated
 from rbtm_bench.check.none import AcceptAll
-from rbtm_bench.geometry import se2, se3
-from rbtm_bench.types import Array, RegistrationResult
+from rbtm_bench.core.geometry import se2, se3
+from rbtm_bench.core.types import Array, RegistrationResult
 
 GUESS = se2(10.0, -4.0, 2.0)
 

@@ -11,9 +11,9 @@ from carmen_writer import PLAIN_RANGES, Write, compose, drive, flaser, odom
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.geometry import inverse, se2
 from rbtm_bench.datasets.carmen import Carmen, planar_poses
-from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.geometry import inverse, se2
 
 # --- what is read ---------------------------------------------------------------------------
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from carmen_writer import Write, drive, flaser
 
+from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.datasets.carmen import Carmen
-from rbtm_bench.errors import ConfigError, DataError
 
 # --- files ----------------------------------------------------------------------------------
 

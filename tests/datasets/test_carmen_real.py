@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.carmen import Carmen
-from rbtm_bench.geometry import inverse, rotation_angle, translation_norm
-from rbtm_bench.types import Array
 
 RAW = {
     "aces": (7374, 180, 0.0084, 1279),

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.geometry import is_rigid
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.cloud_files import SUFFIXES, read_points
 from rbtm_bench.datasets.cloud_folder import CloudFolder, natural_key
 from rbtm_bench.datasets.simulated_hall import write_cloud
-from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.geometry import is_rigid
-from rbtm_bench.types import Array
 
 POINTS = np.random.default_rng(0).uniform(-5, 5, (100, 3)).astype(np.float32).astype(float)
 

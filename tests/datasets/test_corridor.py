@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.geometry import inverse, se2, to_plane, translation_norm, yaw
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.corridor import Corridor, noisy_odometry
 from rbtm_bench.datasets.environments import ENVIRONMENTS
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.geometry import inverse, se2, to_plane, translation_norm, yaw
-from rbtm_bench.types import Array
 
 SMALL: dict[str, Any] = {"scans": 5, "beams": 61}
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rbtm_bench.cli import main
+from rbtm_bench.cli.main import main
+from rbtm_bench.core.errors import ConfigError, DataError, RbtmBenchError
+from rbtm_bench.core.geometry import inverse, se2, transform, translation_norm
+from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets import kiss_loader
 from rbtm_bench.datasets.kitti import Kitti
-from rbtm_bench.errors import ConfigError, DataError, RbtmBenchError
-from rbtm_bench.geometry import inverse, se2, transform, translation_norm
-from rbtm_bench.trajectory import Trajectory
-from rbtm_bench.types import Array
 
 COUNT = 5
 POINTS = np.random.default_rng(0).uniform(-20, 20, (60, 3)).astype(np.float32)

@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 
+from rbtm_bench.core.geometry import se2, se3
 from rbtm_bench.datasets.raycast import (
     box_mesh,
     cast,
@@ -19,7 +20,6 @@ from rbtm_bench.datasets.raycast import (
     scan_walls,
     walls_mesh,
 )
-from rbtm_bench.geometry import se2, se3
 
 
 def test_one_wall() -> None:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.geometry import inverse, transform, translation_norm
 from rbtm_bench.datasets.cloud_folder import CloudFolder
 from rbtm_bench.datasets.simulated_hall import (
     FORMATS,
@@ -18,8 +20,6 @@ from rbtm_bench.datasets.simulated_hall import (
     simulate,
     write_hall,
 )
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.geometry import inverse, transform, translation_norm
 
 
 def test_floor_under_the_sensor() -> None:

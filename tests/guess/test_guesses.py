@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.geometry import inverse, se2
+from rbtm_bench.core.types import Array, Node, Scan
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.geometry import inverse, se2
 from rbtm_bench.guess.base import Guess
 from rbtm_bench.guess.constant_velocity import ConstantVelocity
 from rbtm_bench.guess.identity import Identity
 from rbtm_bench.guess.odometry import Odometry, OdometryChained
-from rbtm_bench.types import Array, Node, Scan
 
 QUARTER = np.pi / 2
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from rbtm_bench.geometry import se2
-from rbtm_bench.trajectory import Trajectory
-from rbtm_bench.types import Array
+from rbtm_bench.core.geometry import se2
+from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.core.types import Array
 
 Planar = Callable[[Sequence[tuple[float, float, float]]], Trajectory]
 Wander = Callable[..., Trajectory]

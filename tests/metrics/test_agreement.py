@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from rbtm_bench import experiment
-from rbtm_bench.settings import compose_settings
-from rbtm_bench.trajectory import Trajectory
+from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.runs import experiment
+from rbtm_bench.runs.settings import compose_settings
 
 
 @pytest.fixture(scope="module")

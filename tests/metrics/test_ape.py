@@ -8,9 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rbtm_bench.geometry import se2, se3
+from rbtm_bench.core.geometry import se2, se3
+from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.metrics.ape import Ape
-from rbtm_bench.trajectory import Trajectory
 
 NOTHING = {"ape_rmse_m": None, "ape_mean_m": None, "ape_max_m": None}
 

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rbtm_bench.core.types import StepRecord
 from rbtm_bench.metrics.cost import COLUMNS, cost, peak_memory_mb
 from rbtm_bench.metrics.summary import summarise_steps
-from rbtm_bench.types import StepRecord
 
 
 def record(scan: int, stamp: float | None = None, **times_ms: float) -> StepRecord:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rbtm_bench.geometry import se2, se3
+from rbtm_bench.core.geometry import se2, se3
+from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.metrics.final_pose import FinalPose
-from rbtm_bench.trajectory import Trajectory
 
 
 def test_straight_path_too_short_and_to_the_left(planar):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from kiss_icp.metrics import absolute_trajectory_error, sequence_error
 
-from rbtm_bench.geometry import inverse, rotation_angle, se2
+from rbtm_bench.core.geometry import inverse, rotation_angle, se2
+from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.core.types import Array
 from rbtm_bench.metrics.ape import Ape
 from rbtm_bench.metrics.kitti import Kitti
-from rbtm_bench.trajectory import Trajectory
-from rbtm_bench.types import Array
 
 SEGMENTS = ("kitti_translation_percent", "kitti_rotation_deg_per_m")
 FITTED = ("ate_translation_m", "ate_rotation_deg")

@@ -9,16 +9,16 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from rbtm_bench import experiment
+from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.geometry import se2, yaw
+from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.datasets.corridor import Corridor
-from rbtm_bench.errors import DataError
-from rbtm_bench.geometry import se2, yaw
 from rbtm_bench.metrics.base import REFERENCES, Metric, evaluated
 from rbtm_bench.metrics.map_quality import MapQuality
-from rbtm_bench.settings import compose_settings
-from rbtm_bench.trajectory import Trajectory
-from rbtm_bench.types import Array, Scan
+from rbtm_bench.runs import experiment
+from rbtm_bench.runs.settings import compose_settings
 
 OF_THE_MAP = ("map_entropy_nat", "map_variance_mm2", "map_cells", "map_supported")
 LOG_2_PI_E = np.log(2 * np.pi * np.e)

@@ -14,13 +14,13 @@ import pytest
 from hydra.utils import instantiate
 
 import rbtm_bench.metrics
+from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.datasets.base import Relations
-from rbtm_bench.errors import DataError
 from rbtm_bench.metrics.base import REFERENCES, Metric, ScanMetric
 from rbtm_bench.metrics.map_quality import MapQuality
 from rbtm_bench.metrics.summary import COLUMNS
-from rbtm_bench.settings import compose_settings
-from rbtm_bench.trajectory import Trajectory
+from rbtm_bench.runs.settings import compose_settings
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -133,9 +133,9 @@ def test_map_quality_comes_with_the_truth_and_no_motion():
 
 def test_importing_the_package_loads_nothing_heavy():
     code = (
-        "import sys; import rbtm_bench.metrics, rbtm_bench.trajectory\n"
+        "import sys; import rbtm_bench.metrics, rbtm_bench.core.trajectory\n"
         "from rbtm_bench.metrics import ape, cost, final_pose, kitti, relations, rpe\n"
-        "import rbtm_bench.tables.references\n"
+        "import rbtm_bench.report.references\n"
         "heavy = {'evo', 'pandas', 'matplotlib', 'open3d', 'hydra', 'kiss_icp', 'numba'}\n"
         "heavy &= set(sys.modules)\n"
         "assert not heavy, heavy"

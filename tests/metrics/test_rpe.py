@@ -8,9 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from rbtm_bench.geometry import se3
+from rbtm_bench.core.geometry import se3
+from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.metrics.rpe import Rpe
-from rbtm_bench.trajectory import Trajectory
 
 NOTHING = {"rpe_translation_rmse_m": None, "rpe_rotation_rmse_deg": None}
 

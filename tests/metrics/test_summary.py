@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from rbtm_bench.core.types import StepRecord
 from rbtm_bench.metrics.summary import COLUMNS, summarise_steps
-from rbtm_bench.types import StepRecord
 
 STATUS = {"r": "registered", "f": "fallback", "s": "skipped", "p": "predicted", "u": "unusable"}
 

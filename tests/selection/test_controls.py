@@ -10,15 +10,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.geometry import se2
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.geometry import se2
+from rbtm_bench.core.types import Array, Node
 from rbtm_bench.selection.base import Selector
 from rbtm_bench.selection.fixed_gap import FixedGap
 from rbtm_bench.selection.keyframe import Keyframe
 from rbtm_bench.selection.oldest import Oldest
 from rbtm_bench.selection.previous import Previous
 from rbtm_bench.selection.random_gap import RandomGap, read_gaps
-from rbtm_bench.types import Array, Node
 
 
 def chosen(selector: Selector, poses: list[Array], left_out: set[int] | None = None) -> list[int]:

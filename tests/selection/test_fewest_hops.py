@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_odometry import Perfect, Script, drive, method
+from loop_helpers import Perfect, Script, drive, method
 
-from rbtm_bench.geometry import se2
-from rbtm_bench.odometry import odometry
+from rbtm_bench.core.geometry import se2
+from rbtm_bench.core.types import Node
+from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.selection.base import Selection, Selector
 from rbtm_bench.selection.fewest_hops import FewestHops
 from rbtm_bench.selection.rbtm import Rbtm
-from rbtm_bench.types import Node
 
 NAN = float("nan")
 

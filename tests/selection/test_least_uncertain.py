@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from test_odometry import Perfect, Script, drive, method
+from loop_helpers import Perfect, Script, drive, method
 
-from rbtm_bench.experiment import instantiate
-from rbtm_bench.geometry import se2
-from rbtm_bench.odometry import odometry
+from rbtm_bench.core.geometry import se2
+from rbtm_bench.core.types import Node, RegistrationResult
+from rbtm_bench.odometry.loop import odometry
+from rbtm_bench.runs.experiment import instantiate
+from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.selection.least_uncertain import LeastUncertain
 from rbtm_bench.selection.rbtm import Rbtm
-from rbtm_bench.settings import compose_settings
-from rbtm_bench.types import Node, RegistrationResult
 
 NAN = float("nan")
 

@@ -8,30 +8,30 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_odometry import Perfect, Script, drive, method, rows, true_pose
-from test_workbench import assert_same, steps
+from loop_helpers import Perfect, Script, drive, method, rows, true_pose
+from step_helpers import assert_same, steps
 
-from rbtm_bench import scorematrix
+from rbtm_bench.calibration.known_pairs import Pair, register_all
 from rbtm_bench.calibration.measuring import _Kept
-from rbtm_bench.cli import main
+from rbtm_bench.cli.main import main
 from rbtm_bench.contract.scene import TinyClouds
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.geometry import inverse, se2
+from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.datasets.corridor import Corridor
-from rbtm_bench.errors import ConfigError, DataError
-from rbtm_bench.experiment import check_fit, instantiate, similarity_matrix
-from rbtm_bench.geometry import inverse, se2
 from rbtm_bench.guess.odometry import Odometry
 from rbtm_bench.metrics.ape import Ape
-from rbtm_bench.odometry import odometry
-from rbtm_bench.pairs import Pair, register_all
-from rbtm_bench.pairstore import PairStore
+from rbtm_bench.odometry.loop import odometry
+from rbtm_bench.pairs.store import PairStore
+from rbtm_bench.runs.experiment import check_fit, instantiate, similarity_matrix
+from rbtm_bench.runs.settings import compose_settings
+from rbtm_bench.runs.workbench import SharedSimilarity, Workbench
 from rbtm_bench.selection.base import Candidate, Trial
 from rbtm_bench.selection.oracle import Oracle, rms_displacement
 from rbtm_bench.selection.rbtm import Rbtm
-from rbtm_bench.settings import compose_settings
+from rbtm_bench.similarity import scorematrix
 from rbtm_bench.similarity.base import Similarity
-from rbtm_bench.trajectory import Trajectory
-from rbtm_bench.types import Array, Node, RegistrationResult, Scan
-from rbtm_bench.workbench import SharedSimilarity, Workbench
 
 POINTS = np.array([[2.0, 0, 0], [0, 2.0, 0], [-2.0, 0, 0], [0, -2.0, 0]])
 

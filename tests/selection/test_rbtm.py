@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rbtm_bench.geometry import se2
+from rbtm_bench.core.geometry import se2
+from rbtm_bench.core.types import Node
 from rbtm_bench.selection.rbtm import Rbtm
-from rbtm_bench.types import Node
 
 NAN = float("nan")
 

@@ -6,17 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_odometry import NAN, Perfect, Script, drive, method, rows
+from loop_helpers import NAN, Perfect, Script, drive, method, rows
 
 from rbtm_bench.check.gated import Gated
-from rbtm_bench.cli import main
-from rbtm_bench.errors import ConfigError
-from rbtm_bench.experiment import instantiate
-from rbtm_bench.grid import make_points
-from rbtm_bench.odometry import odometry
+from rbtm_bench.cli.main import main
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.odometry.loop import odometry
+from rbtm_bench.runs.experiment import instantiate
+from rbtm_bench.runs.grid import make_points
+from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.selection.rbtm import Rbtm
 from rbtm_bench.selection.rbtm_verified import RbtmVerified
-from rbtm_bench.settings import compose_settings
 
 FEW = ("dataset.scans=8", "backend=none")
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rbtm_bench.geometry import se2
+from rbtm_bench.core.geometry import se2
+from rbtm_bench.core.types import Node
 from rbtm_bench.selection.window import Keyframes, Window
-from rbtm_bench.types import Node
 
 
 def node(scan: int, x: float = 0.0, theta: float = 0.0, dtype: type = float) -> Node:

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import beam_points
-from rbtm_bench.types import Array, Scan
 
 Beams = Callable[[Array, Array], Scan]
 Corners = Callable[[Sequence[tuple[float, float] | None]], Scan]

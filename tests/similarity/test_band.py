@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rbtm_bench.core.types import Array
 from rbtm_bench.similarity.base import Similarity
 from rbtm_bench.similarity.curvature import Curvature
 from rbtm_bench.similarity.curvature_circular import CurvatureCircular
 from rbtm_bench.similarity.range_correlation import RangeCorrelation
-from rbtm_bench.types import Array
 
 ANGLES = np.radians(np.arange(-30.0, 30.0))
 

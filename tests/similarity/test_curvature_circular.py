@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rbtm_bench.errors import ConfigError, DataError
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.types import Array
 from rbtm_bench.similarity.curvature_circular import CurvatureCircular
-from rbtm_bench.types import Array
 
 
 def descriptor(u: list[complex] | Array, known: list[int] | Array | None = None) -> Array:

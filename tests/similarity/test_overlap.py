@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
 
 from rbtm_bench.contract.scene import cloud, planar_scan
-from rbtm_bench.geometry import inverse, se2, transform
+from rbtm_bench.core.geometry import inverse, se2, transform
+from rbtm_bench.core.types import Array
 from rbtm_bench.similarity.overlap import Overlap
 from rbtm_bench.similarity.points import descriptor_of, points_of
-from rbtm_bench.types import Array
 
 STILL = np.eye(4)
 

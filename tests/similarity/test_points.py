@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.corridor import Corridor
 from rbtm_bench.datasets.kitti import Kitti
-from rbtm_bench.errors import ConfigError, DataError
 from rbtm_bench.similarity.mutual_neighbours import MutualNeighbours
 from rbtm_bench.similarity.overlap import Overlap
 from rbtm_bench.similarity.points import descriptor_of, inverse_of, moved, nearest, points_of, walk
-from rbtm_bench.types import Array, Scan
 
 NAN = float("nan")
 
@@ -117,7 +117,7 @@ def test_half_a_matrix_is_the_whole(similarity) -> None:
 def test_on_the_road_the_true_motion_scores_highest(data_dir: Path, kind) -> None:
     """Frames 14 to 19, whose poses hold (see the data's README), 0.9 to 4.5 m apart: a guess
     2 m or 6 deg off scores lower."""
-    from rbtm_bench.geometry import inverse, se2
+    from rbtm_bench.core.geometry import inverse, se2
 
     drive = Kitti(str(data_dir / "kitti"), max_scans=20)
     similarity = kind(1.0, voxel_size=0.5, min_height_m=0.0, max_height_m=2.0)

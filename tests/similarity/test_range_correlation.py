@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.corridor import Corridor
-from rbtm_bench.errors import ConfigError, DataError
 from rbtm_bench.similarity.range_correlation import RangeCorrelation
-from rbtm_bench.types import Array, Scan
 
 NAN = float("nan")
 ANGLES = np.radians(np.arange(-90.0, 91.0))

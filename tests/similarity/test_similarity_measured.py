@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rbtm_bench.core.geometry import inverse, se2
+from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.carmen import Carmen
 from rbtm_bench.datasets.corridor import Corridor
-from rbtm_bench.geometry import inverse, se2
 from rbtm_bench.selection.rbtm import Rbtm
 from rbtm_bench.similarity.base import Similarity
 from rbtm_bench.similarity.curvature import Curvature
@@ -22,7 +23,6 @@ from rbtm_bench.similarity.mutual_neighbours import MutualNeighbours
 from rbtm_bench.similarity.overlap import Overlap
 from rbtm_bench.similarity.points import PointSimilarity
 from rbtm_bench.similarity.range_correlation import RangeCorrelation
-from rbtm_bench.types import Array
 
 SEEDS = range(3)
 STEP_M = 0.01

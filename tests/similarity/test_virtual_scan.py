@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.errors import ConfigError
 from rbtm_bench.similarity.curvature import Curvature
 from rbtm_bench.similarity.curvature_circular import CurvatureCircular
 from rbtm_bench.similarity.virtual_scan import VirtualScan
-from rbtm_bench.types import Array, Scan
 
 BINS = 16
 BIN = 2 * np.pi / BINS

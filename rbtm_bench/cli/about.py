@@ -1,0 +1,170 @@
+"""The subcommands about the installation: list, doctor."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import importlib.util
+import os
+import platform
+import sys
+from pathlib import Path
+from typing import Any
+
+from rbtm_bench.core.errors import ConfigError
+
+LIBRARIES = (
+    ("numpy", "numpy"),
+    ("scipy", "scipy"),
+    ("open3d", "open3d"),
+    ("kiss_icp", "kiss-icp"),
+    ("hydra", "hydra-core"),
+    ("pydantic", "pydantic"),
+    ("evo", "evo"),
+    ("pandas", "pandas"),
+    ("pyarrow", "pyarrow"),
+    ("jinja2", "jinja2"),
+    ("tabulate", "tabulate"),
+    ("matplotlib", "matplotlib"),
+    ("joblib", "joblib"),
+    ("rich", "rich"),
+)
+SYSTEM_LIBRARIES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libidn2-0 libudev1"
+
+
+def list_plugins(words: list[str]) -> int:
+    """``rbtm-bench list``: every plug-in, its parameters, and whether its library is there."""
+    from rbtm_bench.runs.settings import PLUGIN_GROUPS, member_nodes, shown
+
+    parser = argparse.ArgumentParser(
+        prog="rbtm-bench list",
+        description="Every plug-in of every group with its parameters and their defaults. "
+        "'missing' says why one cannot be used here.",
+    )
+    parser.add_argument("group", nargs="?", choices=PLUGIN_GROUPS, help="only this group")
+    parser.add_argument("--config-dir", "-cd", action="append", default=[], type=Path)
+    parser.add_argument("--names", action="store_true", help="names only")
+    options = parser.parse_args(words)
+    extra = tuple(options.config_dir)
+    for group in [options.group] if options.group else PLUGIN_GROUPS:
+        nodes = member_nodes(group, extra)
+        print(f"{group}:")
+        for name, node in nodes.items():
+            if options.names:
+                print(f"  {name}")
+                continue
+            print(f"  {name:<18} {_about(group, name, node)}")
+            if isinstance(node, dict):
+                for key, value in node.items():
+                    if key != "_target_":
+                        print(f"      {group}.{key}={shown(value)}")
+    return 0
+
+
+def missing_library(group: str, name: str, node: dict[str, Any] | ConfigError) -> str | None:
+    """Why a plug-in cannot be used here, or None."""
+    from rbtm_bench.runs.settings import locate
+
+    if isinstance(node, ConfigError):
+        return str(node)
+    try:
+        cls = locate(f"{group}={name}", str(node.get("_target_")))
+    except ConfigError as error:
+        return str(error)
+    absent = [package for package in getattr(cls, "requires", ()) if not _is_there(package)]
+    return f"needs {', '.join(absent)}" if absent else None
+
+
+def _is_there(package: str) -> bool:
+    try:
+        return importlib.util.find_spec(package) is not None
+    except (ImportError, ValueError):
+        return False
+
+
+def _about(group: str, name: str, node: dict[str, Any] | ConfigError) -> str:
+    from rbtm_bench.runs.settings import locate
+
+    why_not = missing_library(group, name, node)
+    if why_not or isinstance(node, ConfigError):
+        return f"[missing] {why_not}"
+    cls = locate(f"{group}={name}", str(node["_target_"]))
+    module = sys.modules.get(getattr(cls, "__module__", ""))
+    text = (getattr(module, "__doc__", None) or cls.__doc__ or "").strip()
+    return text.split("\n\n")[0].replace("\n", " ")
+
+
+def doctor(words: list[str]) -> int:
+    """``rbtm-bench doctor``: what is there, what is not, and what to do about it."""
+    argparse.ArgumentParser(
+        prog="rbtm-bench doctor",
+        description="Checks Python, libraries, configs, pinning and data; says what to do.",
+    ).parse_args(words)
+    problems = [*_check_python(), *_check_libraries(), *_check_plugins(), *_check_machine()]
+    if not problems:
+        print("all is well")
+        return 0
+    print(f"{len(problems)} to mend:")
+    for problem in problems:
+        print(f"  {problem}")
+    return 1
+
+
+def _say(good: bool, what: str, advice: str = "") -> list[str]:
+    print(f"{'ok ' if good else 'BAD'}  {what}")
+    return [] if good else [f"{what}: {advice}"]
+
+
+def _check_python() -> list[str]:
+    version = platform.python_version()
+    return _say(sys.version_info >= (3, 11), f"Python {version}", "use Python 3.11 or newer")
+
+
+def _check_libraries() -> list[str]:
+    from importlib.metadata import PackageNotFoundError, version
+
+    problems = []
+    for module, package in LIBRARIES:
+        try:
+            importlib.import_module(module)
+            problems += _say(True, f"{package} {version(package)}")
+        except PackageNotFoundError:
+            problems += _say(True, f"{package} (version unknown)")
+        except (ImportError, OSError) as error:
+            advice = f"pip install {package}"
+            if ".so" in str(error):
+                advice = f"as root: apt-get install {SYSTEM_LIBRARIES}"
+            problems += _say(False, f"{package} cannot be imported ({error})", advice)
+    return problems
+
+
+def _check_plugins() -> list[str]:
+    try:
+        from rbtm_bench.runs.settings import PLUGIN_GROUPS, config_dir, member_nodes
+    except ImportError as error:
+        return _say(False, "plug-ins cannot be listed", f"first mend what is above ({error})")
+    problems = _say(
+        (config_dir() / "config.yaml").is_file(), f"configs in {config_dir()}", "install again"
+    )
+    for group in PLUGIN_GROUPS:
+        nodes = member_nodes(group)
+        absent = {n: why for n in nodes if (why := missing_library(group, n, nodes[n]))}
+        for name, why in absent.items():
+            problems += _say(False, f"{group}={name} is not usable", why)
+        if not absent:
+            _say(True, f"{group}: {', '.join(nodes)}")
+    return problems
+
+
+def _check_machine() -> list[str]:
+    if hasattr(os, "sched_getaffinity"):
+        cores = len(os.sched_getaffinity(0))
+        _say(True, f"{cores} cores; each run can be pinned to one, so numbers repeat")
+    else:
+        print("--   this system cannot pin a process to a core: Open3D's last bits may vary")
+    data = os.environ.get("RBTM_BENCH_DATA")
+    if not data:
+        print("--   RBTM_BENCH_DATA is not set: tests on real data will be skipped")
+        return []
+    advice = "point it at a folder that holds freiburg/, corrected/ and kitti/"
+    return _say((Path(data) / "freiburg").is_dir(), f"RBTM_BENCH_DATA={data}", advice)

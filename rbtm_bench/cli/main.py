@@ -1,0 +1,155 @@
+"""The command line: one subcommand a job, Hydra's overrides passed through.
+
+Nothing heavy is imported before a subcommand needs it, so that ``--help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+
+HELP = """\
+rbtm-bench: compare scan registration backends and ways to choose the model scan.
+
+usage: rbtm-bench COMMAND [key=value ...] [options]
+
+commands
+  run       one experiment:      rbtm-bench run backend=open3d_gicp selector=rbtm selector.window=20
+  compare   a grid, one table:   rbtm-bench compare backend=none,open3d_p2p selector=previous,rbtm
+  sweep     Hydra's multirun:    rbtm-bench sweep selector.threshold=0.6,0.7,0.8
+  table     runs as a table:     rbtm-bench table results/compare --against selector=previous
+  show      what is behind a row: settings, command, data:  rbtm-bench show results/compare/NAME
+  diff      what differs between two runs:  rbtm-bench diff RUN RUN
+  plot      runs as figures:     rbtm-bench plot results/compare
+  similarity scores of all pairs:  rbtm-bench similarity dataset.environment=l_turn --matrix
+  calibrate   error against similarity, the threshold to use:  rbtm-bench calibrate --success 0.95
+  list      every plug-in, its parameters, and whether its library is there
+  doctor    check this installation and say what to do
+
+what goes on the command line
+  dataset=corridor|carmen|cloud_folder          group=member chooses a plug-in
+  dataset.path=LOG selector.threshold=0.8       group.key=value sets one of its parameters
+  out=DIR                                       where the results go (default: results/...)
+  seed=0,1,2                                    lists make a grid (compare, sweep)
+
+options of run, compare and sweep
+  --cfg job         print the composed settings and stop
+  --config-dir DIR  more plug-ins: DIR/backend/mine.yaml is backend=mine
+  --debug           the whole traceback instead of one line
+
+rbtm-bench COMMAND --help says more.   Shell completion: eval "$(rbtm-bench -sc install=bash)"
+"""
+
+HYDRA_FLAGS = (
+    "--cfg",
+    "-c",
+    "--package",
+    "-p",
+    "--resolve",
+    "--info",
+    "-i",
+    "--hydra-help",
+    "--experimental-rerun",
+)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run a subcommand; returns the exit code: 0, 1 for a failed run, 2 for a user's mistake."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in words or bool(os.environ.get("HYDRA_FULL_ERROR"))
+    words = [word for word in words if word != "--debug"]
+    return guarded(lambda: dispatch(words), debug)
+
+
+def dispatch(words: list[str]) -> int:
+    """Call the subcommand's function."""
+    if "-sc" in words or "--shell-completion" in words:
+        from rbtm_bench.cli.completion import complete
+
+        return complete(words)
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(HELP, end="")
+        return 0 if words else 2
+    if words[0] in ("-V", "--version"):
+        from rbtm_bench import __version__
+
+        print(f"rbtm-bench {__version__}")
+        return 0
+    from rbtm_bench.core.errors import ConfigError
+
+    command, *words = words
+    if command in ("run", "compare", "sweep"):
+        from rbtm_bench.cli import runs
+
+        if any(word in HYDRA_FLAGS or word.startswith("--cfg=") for word in words):
+            return runs.hydra_itself(words)
+        return {"run": runs.run, "compare": runs.compare, "sweep": runs.sweep}[command](words)
+    if command in ("table", "plot"):
+        from rbtm_bench.cli import results
+
+        return {"table": results.table, "plot": results.plot}[command](words)
+    if command in ("show", "diff"):
+        from rbtm_bench.cli import inspect
+
+        return {"show": inspect.show, "diff": inspect.diff}[command](words)
+    if command == "similarity":
+        from rbtm_bench.cli import similarity
+
+        return similarity.similarity(words)
+    if command == "calibrate":
+        from rbtm_bench.cli import calibrate
+
+        return calibrate.calibrate(words)
+    if command in ("list", "doctor"):
+        from rbtm_bench.cli import about
+
+        return {"list": about.list_plugins, "doctor": about.doctor}[command](words)
+    import difflib
+
+    from rbtm_bench.cli.completion import COMMANDS
+
+    close = difflib.get_close_matches(command, COMMANDS, n=1)
+    meant = f" Did you mean {close[0]}?" if close else ""
+    raise ConfigError(f"{command}: no such command.{meant} Known: {', '.join(COMMANDS)}")
+
+
+def _exit_code(call: Callable[[], int]) -> int:
+    """What ``call`` returns; argparse leaves by an exception after help (0) or a mistake (2)."""
+    try:
+        return call()
+    except SystemExit as leave:
+        return leave.code if isinstance(leave.code, int) else 0
+
+
+def guarded(call: Callable[[], int], debug: bool) -> int:
+    """The exit code of ``call``; errors print one line, with ``debug`` the whole traceback."""
+    from rbtm_bench.core.errors import RbtmBenchError
+
+    try:
+        code = _exit_code(call)
+        if sys.stdout is not None:  # None: started with standard output closed
+            sys.stdout.flush()
+        return code
+    except KeyboardInterrupt:
+        print("rbtm-bench: interrupted", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader has seen enough; nothing to flush at exit either
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        known = isinstance(error, RbtmBenchError)
+        if debug:
+            import traceback
+
+            traceback.print_exc()
+        else:
+            text = " ".join(str(error).split())
+            where = "" if known else " (--debug shows where)"
+            name = "" if known else f"{type(error).__name__}: "
+            print(f"rbtm-bench: {name}{text}{where}", file=sys.stderr)
+        return error.exit_code if isinstance(error, RbtmBenchError) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

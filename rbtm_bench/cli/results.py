@@ -1,0 +1,245 @@
+"""The subcommands that make tables and figures of results: table, plot."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.report import frame
+from rbtm_bench.report.frame import MethodRuns, Run
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from rbtm_bench.report.intervals import Statistic
+
+TABLE = """\
+examples
+  rbtm-bench table results/compare --over-seeds -f latex        a row a method, for a paper
+  rbtm-bench table results/s1 results/s2 --best                 two sweeps as one
+  rbtm-bench table results/compare --intervals                  how sure is each number
+  rbtm-bench table results/compare --against selector=previous  is it better than the standard
+  rbtm-bench table results/compare --against "keyframe distance=0.3" --metric ape_rmse_m
+  rbtm-bench table results/bare results/paper --against previous --pool
+  rbtm-bench table results/aces results/intel results/csail --held-out
+  rbtm-bench table results/sweep --choose-on seed=100,101,102 --against previous
+
+Intervals are bootstrapped over independent data sets: the seeds of a simulated environment; one
+log is one data set, and its relations are resampled by the place and time they belong to.
+--against compares on the same seeds (or relations), within a backend for a selector and within a
+selector for a backend; better and worse stand only where six data sets or more agree enough.
+--held-out and --choose-on show settings on other data than those that chose them: for every
+data set, backend and selector the setting with the least mean logarithm of the main error on the
+choosing data (a ratio counts the same on every data set); one with a failed run there only where
+all have one; of equal ones the first. With --intervals or --against: of these rows.
+docs/statistics.md says how, docs/metrics.md defines every metric."""
+
+
+def table(words: list[str]) -> int:
+    """``rbtm-bench table PATH...``: runs as a table on standard output."""
+    from rbtm_bench.report import tables
+
+    options = _table_parser().parse_args(words)
+    if options.metric and not (options.intervals or options.against):
+        raise ConfigError("--metric: goes with --intervals or --against; else use --columns")
+    if options.pool and not (options.intervals or options.against):
+        raise ConfigError("--pool: goes with --intervals or --against")
+    if options.mean and not options.intervals:
+        raise ConfigError("--mean: goes with --intervals")
+    choice = "--held-out" if options.held_out else "--choose-on" if options.choose_on else ""
+    if choice and (options.best or options.over_seeds):
+        raise ConfigError(f"{choice}: goes with --intervals or --against, or alone")
+    runs = frame.find_runs(options.paths)
+    _warn(runs)
+    chosen = _choose(runs, options) if choice else None
+    if options.intervals or options.against:
+        _print_statistics(runs, options, chosen)
+        return 0
+    if chosen is not None:
+        _print_chosen(chosen, options.format, options.columns)
+        return 0
+    if options.best:
+        _print_best(tables.best(frame.over_seeds(runs)), options.format, options.columns)
+        return 0
+    rows = frame.over_seeds(runs) if options.over_seeds else frame.frame(runs)
+    if options.columns:
+        rows = rows[tables.existing_columns(rows, options.columns)]
+    print(tables.render(rows, options.format))
+    return 0
+
+
+def _table_parser() -> argparse.ArgumentParser:
+    from rbtm_bench.report import tables
+
+    parser = argparse.ArgumentParser(
+        prog="rbtm-bench table",
+        description="Runs (run folders, or folders of them: several sweeps and comparisons too) "
+        "as one table.\nUnits are in the column names. What makes rows hard to compare (other "
+        "data, other versions)\nis said on standard error. rbtm-bench show RUN tells what is "
+        "behind a row.",
+        epilog=TABLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH")
+    parser.add_argument("--format", "-f", choices=tables.FORMATS, default="text")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument(
+        "--over-seeds",
+        action="store_true",
+        help="a row a method: medians over the runs that differ only in their seed",
+    )
+    kind.add_argument(
+        "--best",
+        action="store_true",
+        help="the best setting of every data set, backend and selector (medians over seeds), "
+        "with the number of settings that each was the best of",
+    )
+    kind.add_argument(
+        "--intervals",
+        action="store_true",
+        help="a row a method: medians over seeds with bootstrap 95%% intervals",
+    )
+    kind.add_argument(
+        "--against",
+        metavar="METHOD",
+        help="a row a method: paired differences from this one, with intervals and tests",
+    )
+    choice = parser.add_mutually_exclusive_group()
+    choice.add_argument(
+        "--held-out",
+        action="store_true",
+        help="for every data set, backend and selector the setting that did best on the other "
+        "data sets",
+    )
+    choice.add_argument(
+        "--choose-on",
+        metavar="KEY=VALUES",
+        help="the same with settings chosen on the runs with these values (seed=100,101,102, "
+        "dataset.environment=paper), and the others shown",
+    )
+    parser.add_argument(
+        "--metric", metavar="A,B", help="with --intervals, --against: these, not the main error"
+    )
+    parser.add_argument(
+        "--pool",
+        action="store_true",
+        help="with --intervals, --against: all data sets together (seeds x environments, or logs)",
+    )
+    parser.add_argument("--mean", action="store_true", help="with --intervals: not the median")
+    parser.add_argument("--columns", metavar="A,B", help="only these columns")
+    return parser
+
+
+def _choose(runs: Sequence[Run], options: argparse.Namespace) -> list[MethodRuns]:
+    """The rows that --held-out or --choose-on asks for."""
+    from rbtm_bench.report import held_out
+
+    if options.held_out:
+        return held_out.leave_one_out(runs)
+    return held_out.choose_on(runs, *held_out.parse(options.choose_on))
+
+
+def _print_chosen(chosen: Sequence[MethodRuns], fmt: str, columns: str | None) -> None:
+    """The table of settings chosen elsewhere: whole as CSV and JSON, else the columns that
+    matter."""
+    from rbtm_bench.report import held_out, tables
+
+    rows, notes = held_out.table(chosen), held_out.notes(chosen)
+    names, main = held_out.columns(rows)
+    if columns:
+        rows = rows[tables.existing_columns(rows, columns)]
+    elif fmt == "text":
+        rows, same = tables.screen(rows, names, (*tables.ALWAYS, *main))
+        notes = [f"the same in every row: {same}", *notes] if same else notes
+    elif fmt not in ("csv", "json"):
+        rows = rows[names]
+    print(tables.render(rows, fmt))
+    _say(notes, fmt)
+
+
+def _print_statistics(
+    runs: Sequence[Run], options: argparse.Namespace, chosen: Sequence[MethodRuns] | None
+) -> None:
+    """A table of intervals or differences: numbers as CSV and JSON, else folded to be read."""
+    from rbtm_bench.report import held_out, paired, tables, with_intervals
+
+    metrics = with_intervals.named_metrics(runs, options.metric)
+    found = held_out.pooled(chosen) if chosen and options.pool else chosen
+    if options.against:
+        rows = paired.against(runs, options.against, metrics, options.pool, found)
+        notes = paired.notes(rows)
+    else:
+        statistic: Statistic = "mean" if options.mean else "median"
+        rows = with_intervals.intervals(runs, metrics, statistic, options.pool, found)
+        notes = with_intervals.notes(rows, statistic)
+    notes += held_out.notes(chosen) if chosen else []
+    if options.format not in ("csv", "json"):
+        rows = with_intervals.folded(rows)
+    if options.columns:
+        rows = rows[tables.existing_columns(rows, options.columns)]
+    elif options.format == "text":
+        told = [*frame.METHOD, "seeds", "status", "unit", "reference", "reference_status"]
+        told += ["metric"]
+        keep = [*tables.ALWAYS, *(c for c in rows if c not in told)]
+        rows, same = tables.screen(rows, list(rows), keep)
+        notes = [f"the same in every row: {same}", *notes] if same else notes
+    print(tables.render(rows, options.format))
+    _say(notes, options.format)
+
+
+def _print_best(best: pd.DataFrame, fmt: str, columns: str | None) -> None:
+    """The table of best settings: whole as CSV and JSON, else the columns that matter."""
+    from rbtm_bench.report import screen, tables
+
+    if fmt == "text" and not columns:
+        print("\n".join(screen.of_best(best)))
+        return
+    rows = best
+    if columns:
+        rows = best[tables.existing_columns(best, columns)]
+    elif fmt not in ("csv", "json"):
+        rows = best[tables.best_columns(best)[0]]
+    print(tables.render(rows, fmt))
+    _say(tables.chances(best), fmt)
+
+
+def _say(lines: Sequence[str], fmt: str) -> None:
+    """What must be said with a table: below it, or on standard error where that would not be a
+    table any more."""
+    for line in lines:
+        print(line, file=sys.stdout if fmt == "text" else sys.stderr)
+
+
+def _warn(runs: Sequence[Run]) -> None:
+    """Say on standard error what makes the runs hard to compare."""
+    from rbtm_bench.report import screen
+
+    for line in screen.differences(runs):
+        print(f"warning: {line}", file=sys.stderr)
+
+
+def plot(words: list[str]) -> int:
+    """``rbtm-bench plot PATH...``: figures beside the runs."""
+    parser = argparse.ArgumentParser(
+        prog="rbtm-bench plot",
+        description="Figures of runs (PNG and PDF): map and occupancy grid with trajectory and "
+        "truth, standard beside rbtm, similarity matrix, gap over time; of methods side by side "
+        "their paths, error over the path, error by method, box plots over seeds, accuracy "
+        "against time with the Pareto front; of a sweep heat maps of the error over threshold "
+        "and window. Only what makes sense for the runs (docs/figures.md). Several sweeps are "
+        "merged.",
+    )
+    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH")
+    parser.add_argument("--out", type=Path, help="folder (default: figures/ in the first PATH)")
+    options = parser.parse_args(words)
+    from rbtm_bench import plots
+
+    runs = frame.find_runs(options.paths)
+    _warn(runs)
+    for file in plots.draw(runs, options.out or options.paths[0] / "figures"):
+        print(file)
+    return 0

@@ -1,0 +1,98 @@
+"""What compare and sweep share: what was asked, the claim on a folder, and the end."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from rbtm_bench.core.files import make_folder
+from rbtm_bench.engine import sweep_folder
+from rbtm_bench.engine.sweep_folder import Asked, Kind
+from rbtm_bench.report import screen
+from rbtm_bench.runs.settings import Settings
+
+
+@contextlib.contextmanager
+def asked(
+    kind: Kind, words: list[str], options: argparse.Namespace, overrides: list[str]
+) -> Iterator[tuple[Asked, Path | None]]:
+    """What is asked for, and the folder to resume, if so: in the folder where it was asked."""
+    if options.resume is None:
+        dirs, quick = options.config_dir, options.fail_fast
+        yield sweep_folder.Asked.now(kind, words, overrides, dirs, quick), None
+        return
+    folder = Path(options.resume)
+    found = sweep_folder.Asked.read(folder, kind).again(
+        overrides, options.fail_fast, options.config_dir
+    )
+    for change in found.changes():
+        print(f"rbtm-bench: since {folder} was begun: {change}", file=sys.stderr)
+    if found.cwd == os.getcwd():
+        yield found, folder
+    elif Path(found.cwd).is_dir():
+        folder = folder.resolve()
+        with contextlib.chdir(found.cwd):  # where its relative paths begin
+            yield found, folder
+    else:
+        print(f"rbtm-bench: {found.cwd}, where this was begun, is gone", file=sys.stderr)
+        yield replace(found, cwd=os.getcwd()), folder
+
+
+@contextlib.contextmanager
+def claimed(asked: Asked, out: Path) -> Iterator[None]:
+    """The folder for this process alone, with what was asked for written into it. Ctrl-C says
+    how to go on."""
+    make_folder(out)
+    with sweep_folder.at_work(out):
+        asked.write(out)
+        (out / sweep_folder.STOP).unlink(missing_ok=True)
+        try:
+            with sweep_folder.minding_ctrl_c():
+                yield
+        except KeyboardInterrupt:
+            print(
+                f"rbtm-bench: {sweep_folder.count_done(out)} finished runs stay; the rest: "
+                f"{sweep_folder.resume_command(asked.kind, out)}",
+                file=sys.stderr,
+            )
+            raise
+
+
+def finish(
+    out: Path, folders: Sequence[Path], failed: list[str], left: list[str], reused: int
+) -> int:
+    """Table and verdict, what failed and what was left; the exit code."""
+    runs = [folder for folder in folders if (folder / "run.json").is_file()]
+    code = 0
+    if runs:
+        try:
+            print(screen.of_runs(out, runs))
+        except OSError as error:
+            code = 1
+            print(f"rbtm-bench: no table: {error}", file=sys.stderr)
+    if reused:
+        print(f"{reused} of {len(folders)} runs were done before", file=sys.stderr)
+    if left:
+        print(f"{len(left)} runs were not started: {', '.join(left)}", file=sys.stderr)
+    return max(code, _report_failures(failed, len(folders)), 1 if left or not runs else 0)
+
+
+def merge_pairs(settings: Settings, out: Path) -> None:
+    """Fold the stores that workers wrote one by one (pairs.store=per_worker) into one."""
+    folder = Path(settings.config["pairs"]["folder"] or out / "pairs")
+    if list(folder.glob("pairs-*")):
+        from rbtm_bench.pairs.store import merge
+
+        merge(folder)
+
+
+def _report_failures(failed: list[str], total: int) -> int:
+    """The summary lists them with their reasons."""
+    if failed:
+        print(f"rbtm-bench: {len(failed)} of {total} runs failed", file=sys.stderr)
+    return 1 if failed else 0

@@ -1,0 +1,149 @@
+"""Rigid motions in the plane and in space: small helpers on 4x4 float64 matrices."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rbtm_bench.core.types import Array
+
+
+def se2(x: float, y: float, theta: float) -> Array:
+    """The 4x4 pose of a planar motion: x, y in m, theta in rad about z."""
+    T = np.eye(4)
+    c, s = np.cos(theta), np.sin(theta)
+    T[0, 0], T[0, 1], T[1, 0], T[1, 1] = c, -s, s, c
+    T[0, 3], T[1, 3] = x, y
+    return T
+
+
+def se3(translation: ArrayLike, rotation: ArrayLike) -> Array:
+    """The 4x4 pose of translation (3,) m and rotation matrix (3, 3)."""
+    T = np.eye(4)
+    T[:3, :3] = rotation
+    T[:3, 3] = translation
+    return T
+
+
+def inverse(T: Array) -> Array:
+    """The inverse of rigid motions (..., 4, 4), by transposing the rotation."""
+    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
+    out = np.zeros_like(T)
+    out[..., :3, :3] = R_t
+    out[..., :3, 3] = -(R_t @ T[..., :3, 3, None])[..., 0]
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def transform(T: Array, points: Array) -> Array:
+    """Points (N, 3) moved by T (4, 4)."""
+    return points @ T[:3, :3].T + T[:3, 3]
+
+
+def adjoint(T: Array) -> Array:
+    """The (6, 6) matrix that moves a small motion through T: T exp(d) = exp(adjoint(T) d) T for
+    d = (x, y, z, rx, ry, rz) in m and rad."""
+    # plain floats, as in rigidity_error
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = T.tolist()
+    return np.array(
+        [
+            [a, b, c, y * g - z * d, y * h - z * e, y * i - z * f],
+            [d, e, f, z * a - x * g, z * b - x * h, z * c - x * i],
+            [g, h, i, x * d - y * a, x * e - y * b, x * f - y * c],
+            [0.0, 0.0, 0.0, a, b, c],
+            [0.0, 0.0, 0.0, d, e, f],
+            [0.0, 0.0, 0.0, g, h, i],
+        ]
+    )
+
+
+def information_in_source_frame(information: Array, T_target_source: Array) -> Array:
+    """The information (6, 6) of a small motion d = (x, y, z, rx, ry, rz) in the target's frame,
+    exp(d) T_target_source, as that of one in the source's frame, T_target_source exp(d)."""
+    A = adjoint(T_target_source)
+    return A.T @ information @ A
+
+
+def translation_norm(T: Array) -> Array:
+    """Length in m of the translation of motions (..., 4, 4)."""
+    return np.linalg.norm(T[..., :3, 3], axis=-1)
+
+
+def rotation_angle(T: Array) -> Array:
+    """Absolute rotation angle in rad of motions (..., 4, 4), accurate near 0 and near pi."""
+    R = T[..., :3, :3]
+    sine = 0.5 * np.sqrt(
+        (R[..., 2, 1] - R[..., 1, 2]) ** 2
+        + (R[..., 0, 2] - R[..., 2, 0]) ** 2
+        + (R[..., 1, 0] - R[..., 0, 1]) ** 2
+    )
+    cosine = 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
+    return np.arctan2(sine, cosine)
+
+
+def yaw(T: Array) -> Array:
+    """Signed rotation about z in rad of motions (..., 4, 4)."""
+    return np.arctan2(T[..., 1, 0], T[..., 0, 0])
+
+
+def to_plane(T: Array) -> Array:
+    """The planar motion nearest to T: x, y and yaw are kept, the rest is dropped."""
+    return se2(float(T[0, 3]), float(T[1, 3]), float(yaw(T)))
+
+
+def to_rotation(R: Array) -> Array:
+    """The rotation matrix nearest to R (3, 3) in the Frobenius norm (by SVD)."""
+    U, _, Vt = np.linalg.svd(R)
+    D = np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])
+    return U @ D @ Vt
+
+
+def is_rigid(T: ArrayLike, tolerance: float = 1e-6) -> bool:
+    """True for a finite 4x4 matrix with an orthonormal, right-handed rotation."""
+    return rigidity_error(T) <= tolerance
+
+
+def rigidity_error(T: ArrayLike) -> float:
+    """How far a 4x4 matrix is from a rigid motion: the largest deviation of R R^T from I and of
+    the last row from 0 0 0 1; infinite for another shape, NaN, infinity or a reflection."""
+    M = np.asarray(T, dtype=float)
+    if M.shape != (4, 4):
+        return math.inf
+    # plain floats: asked for every registration, and numpy's calls would cost more than the sums
+    (a, b, c, x), (d, e, f, y), (g, h, i, z), (k, m, n, w) = M.tolist()
+    off = max(
+        abs(a * a + b * b + c * c - 1.0),
+        abs(d * d + e * e + f * f - 1.0),
+        abs(g * g + h * h + i * i - 1.0),
+        abs(a * d + b * e + c * f),
+        abs(a * g + b * h + c * i),
+        abs(d * g + e * h + f * i),
+        abs(k),
+        abs(m),
+        abs(n),
+        abs(w - 1.0),
+    )
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    # max() may pass over a NaN, sums and products do not
+    sound = math.isfinite(determinant + x + y + z + k + m + n + w) and determinant > 0.0
+    return off if sound else math.inf
+
+
+def voxel_downsample(points: Array, voxel_size: float) -> Array:
+    """The mean of the points (N, 3) in each cubic voxel of ``voxel_size`` m; 0 keeps every point.
+
+    The order follows the voxels' first points, so the result is the same on every machine.
+    """
+    if voxel_size <= 0 or len(points) == 0:
+        return points
+    keys = np.floor(points / voxel_size).astype(np.int64)
+    keys -= keys.min(axis=0)
+    extent = keys.max(axis=0) + 1
+    flat = (keys[:, 0] * extent[1] + keys[:, 1]) * extent[2] + keys[:, 2]
+    _, first, group, count = np.unique(
+        flat, return_index=True, return_inverse=True, return_counts=True
+    )
+    sums = np.stack([np.bincount(group, weights=points[:, i]) for i in range(3)], axis=1)
+    return (sums / count[:, None])[np.argsort(first, kind="stable")]

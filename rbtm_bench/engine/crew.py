@@ -1,0 +1,399 @@
+"""Runs in a child process that its parent supervises.
+
+A backend may crash the process that it runs in, or never return. So every run happens in a
+long-lived child (its imports and caches stay warm from one run to the next) whose death or time
+limit costs one run: that becomes a failed row, and the next run gets a new child. The parent may
+be the command line, a thread of it, a joblib or ray worker, or a submitit job.
+
+Parent and child talk over a socket of their own, so that whatever a library prints cannot get in
+between. The child dies with its parent, also with one that is killed by signal 9.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import fcntl
+import importlib
+import json
+import os
+import pickle
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any
+
+from rbtm_bench.core.errors import RbtmBenchError, RunError
+
+if TYPE_CHECKING:
+    from rbtm_bench.runs.settings import Settings
+
+Progress = Callable[[int, int], None]
+"""Called with scans done and scans in all."""
+
+POLL_S = 0.5
+"""How often a waiting parent looks whether its child still lives."""
+PROGRESS_S = 0.2
+"""Least time between two messages of progress."""
+START_S = 120.0
+"""A child that is not ready by then counts as broken."""
+CLOSE_S = 10.0
+"""What a child gets to end by itself when its work is over."""
+
+NEEDED = ("rbtm_bench.engine.drive", "pyarrow.parquet", "evo.core.metrics")
+"""What every run needs, loaded before a time limit counts; a backend's library is not."""
+
+BOOT = (
+    "import json, sys; sys.path[:], *words = json.loads(sys.argv.pop()); "
+    "from rbtm_bench.engine.crew import serve; serve(*words)"
+)
+"""The child's program: the parent's module path first, so that both see the same modules."""
+
+
+class ChildError(RunError):
+    """The child died before it answered. ``trace`` says where it was, if it could still tell."""
+
+    trace = ""
+
+
+class StoppedError(RunError):
+    """The supervisor was told to stop; its child was killed."""
+
+
+@dataclass(eq=False)
+class Child:
+    """A running child: its process, our end of the socket, the end of a pipe whose closing
+    kills it, and the file in which it describes a crash. ``pin``: on one core for life."""
+
+    process: subprocess.Popen[bytes]
+    channel: Connection
+    lifeline: IO[bytes]
+    crash: IO[bytes]
+    pin: bool
+    cwd: Path
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+
+    @classmethod
+    def start(cls, pin: bool, cwd: Path) -> Child:
+        """Start a child and wait until it is ready. Raises ``ChildError`` if that fails."""
+        channel, theirs = Pipe()
+        heard, lifeline = os.pipe()
+        crash = _scratch_file()
+        fds = (theirs.fileno(), heard, crash.fileno())
+        words = json.dumps([[str(place) for place in sys.path], *fds, pin])
+        error_output = _error_output()  # standard output is the parent's alone: for tables
+        try:
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-c", BOOT, words],
+                stdin=subprocess.DEVNULL,
+                stdout=error_output,
+                stderr=error_output,
+                pass_fds=fds,
+                cwd=cwd,
+                process_group=0,  # Ctrl-C is for the parent; and a kill takes what it started too
+            )
+        finally:
+            theirs.close()
+            os.close(heard)
+        child = cls(process, channel, os.fdopen(lifeline, "wb"), crash, pin, cwd)
+        try:
+            child.receive(time.monotonic() + START_S)
+        except BaseException as error:
+            child.end()
+            if isinstance(error, TimeoutError):
+                raise ChildError(f"no process was ready after {START_S:g} s") from None
+            raise
+        return child
+
+    def receive(self, deadline: float | None = None) -> Any:
+        """The child's next message. Raises ``TimeoutError`` or ``ChildError``."""
+        while True:
+            left = POLL_S if deadline is None else min(POLL_S, deadline - time.monotonic())
+            try:
+                if self.channel.poll(max(left, 0.0)):
+                    return self.channel.recv()
+                dead = self._exited() and not self.channel.poll(0)
+            except (EOFError, OSError):
+                dead = True
+            if dead:
+                raise self._post_mortem()
+            if deadline is not None and time.monotonic() >= deadline:
+                raise TimeoutError
+
+    def _exited(self) -> bool:
+        """True if the process has ended. It stays a zombie: nobody else gets its number."""
+        if self.process.returncode is not None:
+            return True
+        try:
+            how = os.WEXITED | os.WNOHANG | os.WNOWAIT
+            return os.waitid(os.P_PID, self.process.pid, how) is not None
+        except ChildProcessError:
+            return True  # another thread has just collected it
+
+    def _post_mortem(self) -> ChildError:
+        """What the child died of; the socket may close a little before the process ends."""
+        patience = time.monotonic() + CLOSE_S
+        while not self._exited() and time.monotonic() < patience:
+            time.sleep(0.005)
+        self.kill()
+        error = ChildError(f"the process died: {cause_of_death(self.process.returncode)}")
+        self.crash.seek(0)
+        error.trace = self.crash.read().decode(errors="replace").strip()
+        return error
+
+    def kill(self) -> None:
+        """End the process, and those that it has started, at once; from any thread."""
+        with self._lock:
+            if self.process.returncode is None:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(self.process.pid, signal.SIGKILL)
+                self.process.wait()
+
+    def end(self, patience: float = 0.0) -> None:
+        """Let the process end by itself if it does so within ``patience`` s; kill it if not."""
+        self.channel.close()
+        if patience:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self.process.wait(patience)
+        self.kill()
+        self.lifeline.close()
+        self.crash.close()
+
+
+class Supervisor:
+    """Owns one child at a time. For one thread, but ``kill`` may come from any other."""
+
+    def __init__(self, cwd: Path | None = None, argv: Sequence[str] | None = None) -> None:
+        """``cwd``: the folder that the child works in; ``argv``: the command that its runs note
+        down. None: those of this process."""
+        self.cwd, self.argv = cwd, argv
+        self._child: Child | None = None
+        self._stopped = False
+
+    @property
+    def pid(self) -> int | None:
+        """The child's process number, None if there is no child."""
+        return self._child.process.pid if self._child else None
+
+    def run(
+        self,
+        name: str,
+        settings: Settings,
+        out: Path,
+        time_limit: float | None = None,
+        progress: Progress | None = None,
+    ) -> dict[str, Any]:
+        """One run in the child; returns its ``run.json`` whatever happens to the child.
+
+        The ``time_limit``, in s, counts from when the child begins. Raises ``StoppedError`` when
+        ``kill`` is called: the run then stays "started".
+        """
+        from rbtm_bench.engine.drive import ended_by, run_one
+
+        pin = bool(settings.config.get("pin", True))
+        try:
+            job = (run_one, (name, settings, out))
+            _, record = self._ask(job, pin, time_limit, progress)
+        except TimeoutError:
+            return ended_by(RunError(f"time limit of {time_limit:g} s"), settings, out)
+        except ChildError as error:
+            return ended_by(error, settings, out, error.trace)
+        return dict(record)
+
+    def call(self, function: Callable[..., Any], *args: Any, pin: bool = True) -> Any:
+        """``function(*args)`` in the child: returns what it returns, raises what it raises."""
+        return self._ask((function, args), pin)
+
+    def _ask(
+        self,
+        job: tuple[Callable[..., Any], tuple[Any, ...]],
+        pin: bool,
+        time_limit: float | None = None,
+        progress: Progress | None = None,
+    ) -> Any:
+        """Hand over a job and wait for the answer. Without an answer the child is gone."""
+        message = (*job, list(self.argv or sys.argv), progress is not None)
+        try:
+            child = self._begin(pickle.dumps(message), pin)
+            deadline = None if time_limit is None else time.monotonic() + time_limit
+            while (reply := child.receive(deadline))[0] == "progress":
+                if progress is not None:
+                    progress(*reply[1])
+        except BaseException as error:
+            self._drop()
+            if self._stopped and isinstance(error, ChildError):
+                raise StoppedError("stopped") from None
+            raise
+        kind, answer = reply
+        if kind == "raised":
+            raise answer
+        return answer
+
+    def _begin(self, message: bytes, pin: bool) -> Child:
+        """A child that has begun with the job; one that died while it was idle is replaced."""
+        for first in (True, False):
+            child = self._living(pin)
+            try:
+                child.channel.send_bytes(message)
+                child.receive()
+                return child
+            except (ChildError, OSError) as error:
+                self._drop()
+                if not first or self._stopped:
+                    raise ChildError(str(error)) from error
+        raise AssertionError("two tries end in a return or an error")
+
+    def _living(self, pin: bool) -> Child:
+        """The child; a new one if there is none, or none that is pinned and placed like this."""
+        cwd = self.cwd or Path.cwd()
+        if self._child is not None and (self._child.pin, self._child.cwd) != (pin, cwd):
+            self.close()
+        if self._child is None:
+            self._child = Child.start(pin, cwd)
+        if self._stopped:
+            raise StoppedError("stopped")
+        return self._child
+
+    def _drop(self) -> None:
+        child, self._child = self._child, None
+        if child is not None:
+            child.kill()
+            child.end()
+
+    def kill(self) -> None:
+        """End the child at once and start no other; from any thread."""
+        self._stopped = True
+        if (child := self._child) is not None:
+            child.kill()
+
+    def close(self) -> None:
+        """End the child, which has nothing to do but may have something to write."""
+        child, self._child = self._child, None
+        if child is not None:
+            child.end(CLOSE_S)
+
+    def __enter__(self) -> Supervisor:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+_own: dict[int, Supervisor] = {}
+
+
+def own_supervisor(cwd: Path | None = None, argv: Sequence[str] | None = None) -> Supervisor:
+    """This process's own supervisor, made when first asked for and closed at exit."""
+    pid = os.getpid()  # a forked process does not own its parent's
+    if pid not in _own:
+        _own[pid] = Supervisor()
+        atexit.register(_own[pid].close)
+    _own[pid].cwd, _own[pid].argv = cwd, argv
+    return _own[pid]
+
+
+def cause_of_death(code: int) -> str:
+    """A return code in words: "signal 11 (SIGSEGV)", "exit code 3"."""
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        name = signal.Signals(-code).name
+    except ValueError:
+        name = "unknown"
+    return f"signal {-code} ({name}{'; perhaps out of memory' if name == 'SIGKILL' else ''})"
+
+
+def _scratch_file() -> IO[bytes]:
+    """A file without a name: in memory where the system can, so that a full disk is no matter."""
+    if hasattr(os, "memfd_create"):
+        return os.fdopen(os.memfd_create("crash"), "r+b")
+    return tempfile.TemporaryFile()
+
+
+def _error_output() -> int:
+    """Where a child may print: our standard error, unless that is closed."""
+    try:
+        os.fstat(2)
+    except OSError:
+        return subprocess.DEVNULL
+    return 2
+
+
+def serve(channel_fd: int, lifeline: int, crash: int, pin: bool) -> None:
+    """The child: answer one job after the other until the parent hangs up."""
+    import faulthandler
+
+    for fd in (channel_fd, lifeline, crash):
+        os.set_inheritable(fd, False)  # what a backend starts must not keep them open
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _die_at_end_of(lifeline)
+    faulthandler.enable(crash, all_threads=False)
+    if pin:
+        from rbtm_bench.runs.pinning import pin_to_free_core
+
+        pin_to_free_core()
+    for module in NEEDED:
+        importlib.import_module(module)
+    channel = Connection(channel_fd)
+    channel.send("ready")
+    while True:
+        try:
+            message = channel.recv_bytes()
+        except (EOFError, OSError):
+            return
+        channel.send("begun")
+        channel.send(_answer(message, channel))
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(OSError):
+                stream.flush()
+
+
+def _answer(message: bytes, channel: Connection) -> tuple[str, Any]:
+    """Do a job: ("returned", value) or ("raised", exception)."""
+    try:
+        function, args, sys.argv[:], watched = pickle.loads(message)
+        options = {"progress": _reporter(channel)} if watched else {}
+        answer = ("returned", function(*args, **options))
+        pickle.dumps(answer)
+        return answer
+    except RbtmBenchError as error:
+        return "raised", error
+    except BaseException as error:
+        return "raised", RunError(f"{type(error).__name__}: {' '.join(str(error).split())}")
+
+
+def _reporter(channel: Connection) -> Progress:
+    """Sends progress on, as often as an eye can follow."""
+    sent = 0.0
+
+    def report(done: int, total: int) -> None:
+        nonlocal sent
+        now = time.monotonic()
+        if now - sent >= PROGRESS_S:
+            sent = now
+            channel.send(("progress", (done, total)))
+
+    return report
+
+
+def _die_at_end_of(lifeline: int) -> None:
+    """Have the kernel kill this process when the other end of a pipe closes.
+
+    The signal's default action needs no Python, so it reaches a backend that hangs in C. (Linux's
+    PR_SET_PDEATHSIG would come when the parent's thread ends, not its process.)
+    """
+    signal.signal(signal.SIGIO, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGIO})
+    fcntl.fcntl(lifeline, fcntl.F_SETOWN, os.getpid())
+    flags = fcntl.fcntl(lifeline, fcntl.F_GETFL)
+    fcntl.fcntl(lifeline, fcntl.F_SETFL, flags | os.O_ASYNC)
+    if select.select([lifeline], [], [], 0)[0]:  # it closed before anybody watched it
+        os._exit(1)

@@ -1,0 +1,211 @@
+"""Many runs side by side: each on a core of its own, a failed one is a row like any other."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import queue
+import threading
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rbtm_bench.core.errors import RbtmBenchError
+from rbtm_bench.core.files import write_json
+from rbtm_bench.engine import sweep_folder
+from rbtm_bench.engine.crew import Supervisor
+from rbtm_bench.runs import experiment, provenance
+from rbtm_bench.runs.grid import Point
+from rbtm_bench.runs.settings import Settings
+from rbtm_bench.runs.workbench import own_workbench
+
+Done = Callable[[str, dict[str, Any]], None]
+"""Called with a point's name and its ``run.json`` whenever a run has ended."""
+
+Part = Callable[[str, int, int], None]
+"""Called with a point's name, its scans done and its scans in all; from any thread."""
+
+
+def check_data(points: Sequence[Point]) -> None:
+    """Open every data set once, before the first run, and see that the parts fit it.
+
+    Raises ``DataError`` or ``ConfigError``: bad data common to all points stops here.
+    """
+    opened: dict[str, Any] = {}
+    checked = set()
+    for point in points:
+        config = point.settings.config
+        key = repr(sorted(config["dataset"].items()))
+        if key not in opened:
+            opened.clear()  # one data set in memory at a time
+            opened[key] = experiment.build(config["dataset"])
+        groups = ("backend", "guess", "similarity", "selector", "check")
+        fit = repr((key, [config.get(group) for group in groups]))
+        if fit not in checked:
+            checked.add(fit)
+            experiment.check_fit(point.settings, opened[key])
+
+
+@contextlib.contextmanager
+def make_crew(jobs: int, argv: Sequence[str] | None = None) -> Iterator[list[Supervisor]]:
+    """``jobs`` supervisors, closed side by side at the end; killed if an exception passes."""
+    crew = [Supervisor(argv=argv) for _ in range(jobs)]
+    try:
+        yield crew
+    except BaseException:
+        for supervisor in crew:
+            supervisor.kill()
+        raise
+    finally:
+        with ThreadPoolExecutor(jobs) as threads:
+            list(threads.map(Supervisor.close, crew))
+
+
+def run_points(
+    points: Sequence[Point],
+    out: Path,
+    jobs: int,
+    done: Done,
+    *,
+    fail_fast: bool = False,
+    part: Part | None = None,
+    crew: Sequence[Supervisor] | None = None,
+) -> list[str]:
+    """Run the points into folders below ``out``, ``jobs`` at a time, each in a child process.
+
+    Points that draw another run's gaps follow when all others have ended. With ``fail_fast``
+    none is started after the first failure; returns the names of those that were not. ``crew``
+    are supervisors to use, which may have children already.
+    """
+    if crew is None:
+        with make_crew(jobs) as own:
+            return run_points(points, out, jobs, done, fail_fast=fail_fast, part=part, crew=own)
+    stop = threading.Event()
+    left: list[str] = []
+    idle: queue.LifoQueue[Supervisor] = queue.LifoQueue()  # the warmest first
+    for supervisor in reversed(crew):
+        idle.put(supervisor)
+
+    def work(point: Point) -> tuple[str, dict[str, Any] | None]:
+        if stop.is_set():
+            return point.name, None
+        supervisor = idle.get()
+        try:
+            record = _supervised(supervisor, point, out, part)
+        finally:
+            idle.put(supervisor)
+        if fail_fast and record["status"] != "done":
+            stop.set()
+        return point.name, record
+
+    for late in (False, True):
+        batch = [point for point in points if (point.gaps_of is not None) is late]
+        with _threads(crew) as threads:
+            for future in as_completed([threads.submit(work, point) for point in batch]):
+                name, record = future.result()
+                if record is None:
+                    left.append(name)
+                else:
+                    done(name, record)
+    return left
+
+
+@contextlib.contextmanager
+def _threads(crew: Sequence[Supervisor]) -> Iterator[ThreadPoolExecutor]:
+    """A thread for every supervisor; an exception (Ctrl-C) kills the children, and so ends them."""
+    with ThreadPoolExecutor(len(crew)) as threads:
+        try:
+            yield threads
+        except BaseException:
+            threads.shutdown(wait=False, cancel_futures=True)
+            for supervisor in crew:
+                supervisor.kill()
+            raise
+
+
+def _supervised(
+    supervisor: Supervisor, point: Point, out: Path, part: Part | None
+) -> dict[str, Any]:
+    settings = placed(point, out)
+    progress = functools.partial(part, point.name) if part else None
+    limit = settings.config.get("time_limit")
+    return supervisor.run(point.name, settings, out / point.name, limit, progress)
+
+
+def default_jobs() -> int:
+    """The cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def placed(point: Point, out: Path) -> Settings:
+    """The point's settings with the folders of its gaps and of the pair store filled in, free to
+    write into ``out``."""
+    config = sharing(point.settings, out).config | {"overwrite": True}
+    if point.gaps_of is not None:
+        config["selector"] = {**config["selector"], "gaps_from": str(out / point.gaps_of)}
+    return replace(point.settings, config=config)
+
+
+def sharing(settings: Settings, out: Path) -> Settings:
+    """Settings whose pair store, unless it has a folder, lies in the sweep's folder ``out``."""
+    pairs = settings.config["pairs"]
+    folder = pairs["folder"] or str((out / "pairs").resolve())
+    return replace(settings, config={**settings.config, "pairs": {**pairs, "folder": folder}})
+
+
+def run_one(
+    name: str, settings: Settings, out: Path, progress: experiment.Progress | None = None
+) -> tuple[str, dict[str, Any]]:
+    """One run that never raises: whatever goes wrong becomes its status and reason."""
+    try:
+        experiment.refuse_existing(out, bool(settings.config["overwrite"]))
+        experiment.clear(out)  # an earlier run's files must not stand for a run that never starts
+    except (OSError, RbtmBenchError) as error:
+        return name, {"status": "failed", "reason": experiment.reason(error)}
+    try:
+        bench = own_workbench(settings)
+        try:
+            return name, experiment.run(settings, out, progress, bench)
+        except BaseException:
+            if bench is not None:
+                bench.forget()
+            raise
+        finally:
+            if bench is not None:
+                bench.flush()
+    except (Exception, SystemExit) as error:
+        return name, ended_by(error, settings, out, traceback.format_exc())
+
+
+def ended_by(
+    error: BaseException, settings: Settings, out: Path, trace: str = ""
+) -> dict[str, Any]:
+    """Leave a run that ended by an error as a failed one; returns its run.json.
+
+    Where even that cannot be written the run's own files make room; the answer says why anyway.
+    """
+    sweep_folder.clear_partial(out)
+    record = sweep_folder.stored(out)
+    if record.get("status") in ("failed", "done"):  # it has said so itself
+        return record
+    ending = {
+        "status": "failed",
+        "reason": experiment.reason(error),
+        "finished": provenance.now(),
+        "traceback": trace,
+    }
+    try:
+        if record:
+            write_json(out / "run.json", {**record, **ending})
+        else:
+            experiment.fail(settings, out, error)
+    except (OSError, RbtmBenchError):
+        with contextlib.suppress(OSError, RbtmBenchError):
+            experiment.fail(settings, out, error)
+    return {**record, **ending}

@@ -1,0 +1,232 @@
+"""The jobs of a sweep: Hydra's multirun over supervised runs, with whatever launcher."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib.util
+import os
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.engine import drive, sweep_folder
+from rbtm_bench.engine.crew import Supervisor, own_supervisor
+from rbtm_bench.engine.progress import RunBar
+from rbtm_bench.engine.sweep_folder import Asked
+from rbtm_bench.runs.grid import Point, values_beside_first
+from rbtm_bench.runs.settings import Settings, composed, composing, from_hydra, parsed
+
+LAUNCHERS = {
+    "ray": ("hydra_plugins.hydra_ray_launcher", "ray"),
+    "slurm": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
+    "submitit": ("hydra_plugins.hydra_submitit_launcher", "slurm"),
+}
+"""How launchers that may be missing are called: their module, and the extra to install."""
+
+POLL_S = 0.5
+"""How often the bar looks for runs that have ended."""
+
+_bar: RunBar | None = None
+"""The bar that runs of this very process report their scans to."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a sweep will do: settings in which every value occurs, first point first; the words of
+    every job, None where a sweeper makes them up as it goes; Hydra's words; is it one process?"""
+
+    settings: list[Settings]
+    jobs: list[list[str]] | None
+    words: list[str]
+    one_process: bool
+
+    @classmethod
+    def of(cls, overrides: list[str], extra_dirs: tuple[Path, ...]) -> Plan:
+        """Check every value and find out the jobs. Raises ``ConfigError``."""
+        for word in overrides:
+            if word.partition("=")[0] in ("hydra.sweep.dir", "hydra.sweep.subdir"):
+                raise ConfigError(f"{word}: out=DIR names a sweep's folder; its runs are numbered")
+        hydra_words = [word for word in overrides if word.startswith("hydra")]
+        task = [word for word in overrides if word not in hydra_words]
+        _require_launcher(hydra_words)
+        with composing(extra_dirs) as extra:
+            experiment = [word for word in task if word.startswith("+experiment=")]
+            node = composed([*hydra_words, *experiment, *extra]).hydra
+            fixed = _fixed(node.sweeper)
+            found = None if fixed is None else _product([*fixed, *task])
+        settings = values_beside_first([*(fixed or []), *task], extra_dirs)
+        _require_own_stores(node.launcher, settings)
+        alone = str(node.launcher.get("_target_")).endswith(".BasicLauncher")
+        return cls(settings, found, [*extra, *overrides], alone)
+
+    def check_data(self, asked: Asked) -> None:
+        """Open all data in a child, which does the runs as well where this is the one process.
+
+        Raises ``DataError`` or ``ConfigError``.
+        """
+        points = [Point(str(number), settings) for number, settings in enumerate(self.settings)]
+        pin = bool(self.settings[0].config["pin"])
+        if self.one_process:
+            own_supervisor(_place(asked), asked.command).call(drive.check_data, points, pin=pin)
+        else:
+            with Supervisor() as supervisor:
+                supervisor.call(drive.check_data, points, pin=pin)
+
+    def left(self, folders: list[Path]) -> list[str]:
+        """The jobs that have no run, by number and words."""
+        begun = {folder.name for folder in folders if (folder / "run.json").is_file()}
+        return [
+            f"{number} ({' '.join(words)})"
+            for number, words in enumerate(self.jobs or [])
+            if str(number) not in begun
+        ]
+
+
+def _fixed(sweeper: DictConfig) -> list[str] | None:
+    """The words that Hydra's own sweeper adds from its config; None for another sweeper."""
+    if not str(sweeper.get("_target_")).endswith(".BasicSweeper"):
+        return None
+    return [f"{key}={value}" for key, value in (sweeper.get("params") or {}).items()]
+
+
+def _require_launcher(words: list[str]) -> None:
+    """Raise ``ConfigError`` naming the extra to install if the launcher's package is missing."""
+    for word in words:
+        key, _, name = word.partition("=")
+        for start, (module, extra) in LAUNCHERS.items():
+            if key != "hydra/launcher" or not name.startswith(start):
+                continue
+            if importlib.util.find_spec(module) is None:
+                raise ConfigError(f"{word}: not installed: pip install 'rbtm-bench[{extra}]'")
+
+
+def _require_own_stores(launcher: DictConfig, settings: list[Settings]) -> None:
+    """Raise ``ConfigError`` if several machines would write one pair store: they cannot."""
+    kind = str(launcher.get("_target_")).rpartition(".")[2]
+    beyond = kind == "SlurmLauncher" or (
+        kind == "RayLauncher" and launcher.ray.init.get("address") not in (None, "local")
+    )
+    if beyond and any(one.config["pairs"]["store"] == "shared" for one in settings):
+        raise ConfigError(
+            "pairs.store=shared: the machines of a cluster cannot share one file safely; "
+            "add pairs.store=per_worker (merged at the end; docs/pairstore.md)"
+        )
+
+
+def _product(words: list[str]) -> list[list[str]]:
+    """The words of every job of Hydra's own sweeper, in its order."""
+    from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+
+    (batch,) = BasicSweeper.split_arguments(parsed(words), None)
+    return [list(job) for job in batch]
+
+
+def run_job(cfg: DictConfig) -> None:
+    """One job in whatever process the launcher runs it: a finished run is left as it is, any
+    other is done in a child of this process. Never raises but for Ctrl-C."""
+    from hydra.core.hydra_config import HydraConfig
+
+    sweep_folder.check_ctrl_c()
+    hydra_cfg = HydraConfig.get()
+    folder, out = Path(hydra_cfg.sweep.dir), Path(hydra_cfg.runtime.output_dir)
+    asked = Asked.read(folder)
+    if "joblib" in str(hydra_cfg.launcher.get("_target_")).lower():
+        _end_with(asked.pid)
+    with sweep_folder.at_work(folder, alone=False):
+        if (folder / sweep_folder.STOP).exists():
+            return
+        record = _run(cfg, hydra_cfg, out, asked)
+    if record["status"] != "done":
+        if asked.fail_fast:
+            with contextlib.suppress(OSError):
+                (folder / sweep_folder.STOP).touch()
+        sweep_folder.tell_unwritten(out, record)
+
+
+def _run(cfg: DictConfig, hydra_cfg: Any, out: Path, asked: Asked) -> dict[str, Any]:
+    """The job's run.json, from the folder or from a run."""
+    full = cfg.copy()
+    with open_dict(full):
+        full.hydra = hydra_cfg
+    words = tuple(hydra_cfg.overrides.task)
+    try:
+        settings = from_hydra(full, words)
+    except ConfigError as error:
+        sweep_folder.check_ctrl_c()
+        plain = OmegaConf.to_container(cfg, resolve=False)
+        assert isinstance(plain, dict)
+        choices = {str(k): str(v) for k, v in hydra_cfg.runtime.choices.items()}
+        settings = Settings({str(k): v for k, v in plain.items()}, choices, words)
+        sweep_folder.clear([out])
+        return drive.ended_by(error, settings, out)
+    if sweep_folder.is_finished(out, settings):
+        return sweep_folder.stored(out)
+    sweep_folder.clear([out])
+    settings = drive.sharing(settings, Path(hydra_cfg.sweep.dir))
+    settings = replace(settings, config={**settings.config, "overwrite": True})
+    supervisor = own_supervisor(_place(asked), asked.command)
+    part = functools.partial(_bar.part, out.name) if _bar else None
+    limit = settings.config["time_limit"]
+    return supervisor.run(out.name, settings, out, limit, part)
+
+
+def _place(asked: Asked) -> Path | None:
+    """Where the sweep's relative paths begin, unless that is not to be found here."""
+    return Path(asked.cwd) if Path(asked.cwd).is_dir() else None
+
+
+@functools.cache
+def _end_with(driver: int) -> None:
+    """Let this process, a worker of the driver's own, end soon after the driver has died.
+
+    It would go on with the jobs that it has been sent, or wait for more and keep its core.
+    """
+
+    def watch() -> None:
+        while os.getppid() == driver:
+            time.sleep(POLL_S)
+        os._exit(1)
+
+    if os.getpid() != driver:
+        threading.Thread(target=watch, daemon=True).start()
+
+
+@contextlib.contextmanager
+def watched(out: Path, reused: set[str], bar: RunBar, mine: bool) -> Iterator[None]:
+    """Tell the bar of runs below ``out`` that end, whichever process they run in. With ``mine``
+    they run in this one and tell of their scans as well."""
+    global _bar
+    ended: set[str] = set(reused)
+    over = threading.Event()
+
+    def look() -> None:
+        with contextlib.suppress(OSError):
+            for folder in sweep_folder.run_folders(out):
+                if folder.name in ended:
+                    continue
+                status = sweep_folder.status(folder)
+                if status in ("done", "failed"):
+                    ended.add(folder.name)
+                    bar.ended(folder.name, status == "done", *sweep_folder.registrations(folder))
+
+    def watch() -> None:
+        while not over.wait(POLL_S):
+            look()
+
+    thread = threading.Thread(target=watch, daemon=True)
+    _bar = bar if mine else None
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+        _bar = None
+        look()

@@ -1,0 +1,198 @@
+"""The table of paired differences from a reference method."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.report import intervals, tables
+from rbtm_bench.report.frame import METHOD, MethodRuns, Run
+from rbtm_bench.report.units import CLUSTERS, Units, grouped, methods
+from rbtm_bench.report.with_intervals import choice_of, keys_of, references_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+SIGNIFICANT = 0.05
+
+LESS_IS_BETTER = re.compile(
+    r"final_(translation|rotation)|ape_|ate_|rpe_|drift_|kitti_|ms_|relations_.*_(mean|std)_"
+)
+"""Metrics that may be called better or worse; of others lower or higher is all that is known."""
+
+
+def against(
+    runs: Sequence[Run],
+    reference: str,
+    metrics: Sequence[str] = (),
+    pool: bool = False,
+    found: Sequence[MethodRuns] | None = None,
+) -> pd.DataFrame:
+    """A row a method and metric: how it differs from the reference on the same data.
+
+    ``reference`` names a selector, a backend, or both, with as many settings as make it one
+    method ("previous", "selector=keyframe distance=0.3", "backend=none"). What it leaves open is
+    the same on both sides. ``p_holm`` is adjusted for all tests of the table; ``holds`` says
+    "better" or "worse" (for what is no error, "lower" or "higher") only where it is below 0.05,
+    the interval excludes 0, and no run of the side that would win has failed. ``found``: these
+    methods instead of all (``tables.held_out``).
+
+    Raises ``ConfigError`` for a reference that is no method of these runs, or several, and for a
+    metric of which less is not better without the truth beside it.
+    """
+    import pandas as pd
+
+    for key in metrics:
+        if references_of(runs, key):
+            raise ConfigError(
+                f"--metric {key}: no comparison by it, no motion may beat the truth; --intervals "
+                "shows it beside both"
+            )
+    found = found or methods(runs, pool)
+    words = _words(reference, found)
+    open_ = [name for name in ("backend", "selector") if name not in words]
+    if not any(_is(method, words) for method in found):
+        raise ConfigError(f"--against {reference}: no method here is that")
+    rows: list[dict[str, Any]] = []
+    for group in grouped(found, ("data", *open_)):
+        base = [method for method in group if _is(method, words)]
+        if len(base) > 1:
+            _refuse_several(reference, base)
+        there = Units(base[0]) if base else None
+        name = _label(base[0].row, words) if base else None
+        keys = metrics or keys_of(group, beside=False)
+        rivals = [Units(method) for method in group if method not in base]
+        rows += [_row(here, there, key, name) for here in rivals for key in keys]
+    if all(row["difference"] is None for row in rows):
+        raise ConfigError(f"--against {reference}: no other method has a number on the same data")
+    for row, p in zip(rows, intervals.holm([row["p"] for row in rows]), strict=True):
+        row["p_holm"] = p
+        row["holds"] = _holds(row)
+    columns = [*METHOD, "status", *choice_of(rows[0]), "reference", "reference_status", "metric"]
+    columns += ["error", "reference_error", "difference", "difference_low", "difference_high"]
+    columns += ["difference_n", "unit", "p", "p_holm", "holds"]
+    numbers = [c for c in columns if c.startswith(("p", "difference", "error", "reference_error"))]
+    kinds = dict.fromkeys(numbers, "float64") | {"difference_n": "int64"}
+    return pd.DataFrame(rows)[columns].astype(kinds)
+
+
+def _words(reference: str, found: Sequence[MethodRuns]) -> dict[str, str]:
+    """The reference as key -> value; a bare word is a selector or else a backend."""
+    names = {
+        key: list(dict.fromkeys(str(m.row[key]) for m in found if m.row[key]))
+        for key in ("selector", "backend")
+    }
+    words: dict[str, str] = {}
+    for word in re.split(r"[\s,]+", reference.strip()):
+        key, equals, value = word.partition("=")
+        if not equals:
+            value = key
+            key = "selector" if value not in names["backend"] else "backend"
+        key = key.removeprefix("selector.")
+        if value not in names.get(key, [value]):
+            known = f"{key}s here: {', '.join(names[key])}"
+            raise ConfigError(f"--against {reference}: no {key} {value} in these runs; {known}")
+        words[key] = value
+    if "selector" not in words and "backend" not in words:
+        raise ConfigError(f"--against {reference}: expected a selector or a backend, and more")
+    return words
+
+
+def _is(method: MethodRuns, words: dict[str, str]) -> bool:
+    """Whether a method has all that the words say."""
+    settings = str(method.row["settings"] or "").split()
+    for key, value in words.items():
+        if key in ("selector", "backend", "window", "threshold"):
+            if not _same(method.row[key], value):
+                return False
+        elif f"{key}={value}" not in settings:
+            return False
+    return True
+
+
+def _same(found: Any, value: str) -> bool:
+    try:
+        return found is not None and float(found) == float(value)
+    except ValueError:
+        return str(found) == value
+
+
+def _refuse_several(reference: str, base: Sequence[MethodRuns]) -> None:
+    labels = [_label(method.row, ("backend", "selector")) for method in base]
+    more = len(labels) - tables.TOLD
+    told = "; ".join(labels[: tables.TOLD]) + (f"; {more} more" if more > 0 else "")
+    where = f"on {base[0].row['data']}"
+    raise ConfigError(f"--against {reference}: several methods {where}, name one: {told}")
+
+
+def _label(row: dict[str, Any], named: Collection[str]) -> str:
+    """A method as ``--against`` takes it: "rbtm window=8 threshold=0.5"; of backend and selector
+    only what was named, the other is the same on both sides."""
+    parts = [str(row[key]) for key in ("backend", "selector") if key in named and row[key]]
+    if "selector" in named:
+        values = {key: row[key] for key in ("window", "threshold") if row[key] is not None}
+        parts += [f"{key}={value:g}" for key, value in values.items()]
+        parts += [row["settings"]] if row["settings"] else []
+    return " ".join(parts)
+
+
+def _row(here: Units, there: Units | None, key: str, reference: str | None) -> dict[str, Any]:
+    """The method beside the reference, if there is one, without what depends on other rows."""
+    row: dict[str, Any] = {name: here.row[name] for name in (*METHOD, "status")}
+    status = there.row["status"] if there else None
+    row |= choice_of(here.row)
+    row |= {"reference": reference, "reference_status": status, "metric": key}
+    found = here.minus(there, key) if there else None
+    row |= {
+        "error": found.error if found else None,
+        "reference_error": found.reference if found else None,
+        "difference": found.interval.value if found else None,
+        "difference_low": found.interval.low if found else None,
+        "difference_high": found.interval.high if found else None,
+        "difference_n": found.interval.n if found else 0,
+        "unit": found.unit if found else None,
+        "p": found.p if found else None,
+    }
+    return row
+
+
+def _holds(row: dict[str, Any]) -> str:
+    """Which way the difference goes, if that can be said at all."""
+    low, high, p = row["difference_low"], row["difference_high"], row["p_holm"]
+    if p is None or low is None or p >= SIGNIFICANT or low <= 0 <= high:
+        return ""
+    less = bool(high < 0)
+    if row["status" if less else "reference_status"] != "done":
+        return ""  # the runs that failed are not in the comparison
+    if LESS_IS_BETTER.match(row["metric"]):
+        return "better" if less else "worse"
+    return "lower" if less else "higher"
+
+
+def notes(table: pd.DataFrame) -> list[str]:
+    """What must be said beside a table of differences."""
+    lines = [
+        "difference: method - reference, paired [bootstrap 95% interval] (units): median over "
+        "data sets, or mean over the place-time clusters of one log's relations"
+    ]
+    tests = int(table["p"].notna().sum())
+    if tests:
+        number = "1 test" if tests == 1 else f"{tests} tests"
+        lines.append(
+            f"p: Wilcoxon signed-rank; p_holm: adjusted for {number}; holds: p_holm < "
+            f"{SIGNIFICANT} and the interval excludes 0"
+        )
+    few = (table["difference_n"] < intervals.INDEPENDENT) | (table["unit"] == CLUSTERS)
+    if (few & table["difference"].notna()).any():
+        lines.append(
+            f"no test, and nothing called better, on fewer than {intervals.INDEPENDENT} "
+            "independent data sets (a log is one)"
+        )
+    if table["difference"].isna().any():
+        lines.append("no difference where the reference, or a number of it, is missing")
+    failed = (table["status"] != "done") | (table["reference_status"] != "done")
+    if (failed & table["p"].notna()).any():
+        lines.append("a method of which a run failed is not called better by the others")
+    return lines

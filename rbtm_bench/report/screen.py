@@ -1,0 +1,245 @@
+"""The one screen at the end of a run or a comparison, and the tables that go with it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rbtm_bench.core.files import write_text
+from rbtm_bench.report import frame, tables
+from rbtm_bench.report.frame import Run
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+LONG = 30
+"""Rows of a table from which on it is written, not printed."""
+NAMED = 2
+"""Runs or folders that a line names at most."""
+REASONS = 5
+"""Reasons of failure that are told at most."""
+
+RUN_LINES = (
+    ("final_translation_error_mm", "final position error", "mm"),
+    ("final_rotation_error_deg", "final rotation error", "deg"),
+    ("ape_rmse_m", "APE RMSE, first pose aligned", "m"),
+    ("relations_translation_mean_m", "mean relation error", "m"),
+    ("relations_translation_std_m", "  standard deviation", "m"),
+    ("relations_rotation_mean_deg", "mean relation rotation error", "deg"),
+    ("relations_used", "relations used", ""),
+    ("coverage", "share of scans registered", ""),
+    ("mean_gap", "mean gap to the model scan", "scans"),
+    ("rejected", "registrations rejected", ""),
+    ("fallbacks", "fallbacks", ""),
+    ("undefined_scores", "undefined similarities", ""),
+    ("ms_per_scan", "time a scan", "ms"),
+)
+
+
+def of_run(out: Path) -> str:
+    """A run's main numbers and where its files are."""
+    run = frame.read_run(out)
+    row = frame.row(run)
+    head = f"{row['dataset']}, {row['backend']}, {row['selector']}"
+    lines = [f"{head}: {row['scans']} scans in {row['seconds']:.1f} s", *key_numbers(row)]
+    if run.record.get("skipped_records"):
+        lines.append(f"  {run.record['skipped_records']} malformed records were skipped")
+    lines.append(f"results in {out}   (figures: rbtm-bench plot {out})")
+    return "\n".join(lines)
+
+
+def key_numbers(row: dict[str, Any]) -> list[str]:
+    """A line for each of a run's main numbers."""
+    lines = []
+    for key, name, unit in RUN_LINES:
+        value = row.get(key)
+        if value is not None:
+            number = f"{value:.4g}" if isinstance(value, float) else str(value)
+            lines.append(f"  {name:<30} {number:>10} {unit}".rstrip())
+    return lines
+
+
+def of_runs(out: Path, folders: Sequence[Path]) -> str:
+    """The tables of a comparison or sweep, the verdict in words, the share of registrations
+    reused, failures by reason, and where the files are.
+
+    Writes ``table.csv`` (a row a run) and ``summary.csv`` (a row a method).
+    """
+    runs = frame.find_runs(folders)
+    every, methods = frame.frame(runs), frame.over_seeds(runs)
+    write_text(out / "table.csv", tables.render(every, "csv") + "\n")
+    write_text(out / "summary.csv", tables.render(methods, "csv") + "\n")
+    best = tables.best(methods)
+    told = bool(tables.chances(best))
+    lines = [*overview(methods, best), *tables.verdict(methods, say_tries=not told)]
+    lines += [*reuse(runs), *reasons(runs)]
+    lines += [f"warning: {line}" for line in differences(runs)]
+    lines.append(f"a row a run: {out / 'table.csv'}; a row a method: {out / 'summary.csv'}")
+    lines.append(f"figures: rbtm-bench plot {out}")
+    return "\n".join(lines)
+
+
+def overview(methods: pd.DataFrame, best: pd.DataFrame) -> list[str]:
+    """The best setting of every method, and all methods if they fit a screen: one table where
+    both would be the same."""
+    if len(best) == len(methods) <= LONG:
+        return _with_same(methods, tables.SHORT, tables.ALWAYS)
+    lines = of_best(best)
+    if len(methods) > LONG:
+        return [*lines, f"the table of all {len(methods)} methods is not printed, only written"]
+    return [*lines, "", "all:", *_with_same(methods, tables.SHORT, tables.ALWAYS)]
+
+
+def of_best(best: pd.DataFrame) -> list[str]:
+    """A table of best settings and what must be said with it."""
+    columns, main = tables.best_columns(best)
+    names = [f"{name} ({unit})" for key, unit, name in tables.ERRORS if key in main]
+    order = f", within a backend by {' or '.join(names)}" if names else ""
+    table = _with_same(best, columns, (*tables.ALWAYS, *main))
+    return [f"the best setting of every method{order}:", *table, *tables.chances(best)]
+
+
+def _with_same(table: pd.DataFrame, columns: Sequence[str], keep: Sequence[str]) -> list[str]:
+    """A table as text, what is the same in every row, and what its numbers are."""
+    screen, same = tables.screen(table, columns, keep)
+    lines = [tables.render(screen, "text")]
+    lines += [f"the same in every row: {same}"] if same else []
+    seeds = int(table["seeds"].max()) if table["seeds"].notna().any() else 1
+    if seeds > 1:
+        lines.append(f"medians over the runs of a method that differ only in their seed ({seeds})")
+    return lines
+
+
+def reuse(runs: Sequence[Run]) -> list[str]:
+    """How many registrations were asked for and how many of them computed; nothing for runs
+    that do not say so. A rejected registration does not tell whether it was reused."""
+    asked = reused = rejected = 0
+    for run in runs:
+        share, coverage = run.metrics.get("reused"), run.metrics.get("coverage")
+        scans = run.record.get("scans")
+        registers = run.record["choices"].get("backend") != "none"
+        if share is None or coverage is None or scans is None or not registers:
+            continue
+        accepted = round(coverage * (scans - 1))
+        asked += accepted
+        reused += round(share * accepted)
+        rejected += run.metrics.get("rejected") or 0
+    if not asked:
+        return []
+    words = f"registrations: asked {asked}, computed {asked - reused}, reused {reused / asked:.1%}"
+    return [f"{words} (and {rejected} rejected ones)" if rejected else words]
+
+
+def reasons(runs: Sequence[Run]) -> list[str]:
+    """Failed runs by their reason, the most frequent first."""
+    by_reason: dict[str, list[Run]] = {}
+    for run in runs:
+        if not run.done:
+            by_reason.setdefault(_reason(run), []).append(run)
+    if not by_reason:
+        return []
+    groups = sorted(by_reason.items(), key=lambda group: -len(group[1]))
+    statuses = {run.record.get("status") for run in runs} - {"done"}
+    word = "failed" if statuses == {"failed"} else "not done"
+    lines = [f"{word}: {sum(len(found) for _, found in groups)} of {_runs(len(runs))}"]
+    for reason, found in groups[:REASONS]:
+        lines.append(f"  {len(found)} x {reason} ({_few([r.path.name for r in found])})")
+    if len(groups) > REASONS:
+        left = sum(len(found) for _, found in groups[REASONS:])
+        lines.append(f"  {left} x {len(groups) - REASONS} other reasons: see table.csv")
+    return lines
+
+
+def _reason(run: Run) -> str:
+    if run.record.get("reason"):
+        return str(run.record["reason"])
+    status = run.record.get("status")
+    return "started, but never ended" if status == "started" else f"status {status}"
+
+
+def differences(runs: Sequence[Run]) -> list[str]:
+    """A line for everything that makes rows of one table hard to compare: data that are not the
+    same under the same name and seed, other versions, and repeated runs."""
+    return [*_other_data(runs), *_other_versions(runs), *_repeated(runs)]
+
+
+def _other_data(runs: Sequence[Run]) -> list[str]:
+    words = frame.varied_data(runs)
+    groups: dict[tuple[str, Any], list[Run]] = {}
+    for run in runs:
+        if run.record.get("dataset_fingerprint"):
+            name = " ".join(filter(None, [run.record["choices"].get("dataset"), words[run.path]]))
+            settings = run.config.get("dataset")
+            seed = settings.get("seed") if isinstance(settings, dict) else None
+            groups.setdefault((name, seed), []).append(run)
+    lines: dict[str, list[str]] = {}
+    for (name, seed), group in groups.items():
+        found = _by_value(group, lambda run: str(run.record["dataset_fingerprint"])[:12])
+        if len(found) > 1:
+            where = name if seed is None else f"{name}, seed {seed}"
+            lines.setdefault(name, []).append(f"{where}: the data differ: {_values(found)}")
+    return [_first(told, "seed") for told in lines.values()]
+
+
+def _other_versions(runs: Sequence[Run]) -> list[str]:
+    names = dict.fromkeys(name for run in runs for name in run.record.get("versions") or {})
+    lines = []
+    for name in [*names, "git"]:
+
+        def version(run: Run, name: str = name) -> str:
+            found = run.record if name == "git" else run.record.get("versions") or {}
+            return str(found.get(name) or "unknown")
+
+        found = _by_value(runs, version)
+        if len(found) > 1:
+            what = "the checkout (git)" if name == "git" else name
+            lines.append(f"{what} differs: {_values(found)}")
+    return lines
+
+
+def _repeated(runs: Sequence[Run]) -> list[str]:
+    groups = Counter((frame.method_key(run), run.record.get("seed")) for run in runs)
+    again = sum(count - 1 for count in groups.values())
+    if not again:
+        return []
+    words = "1 run repeats" if again == 1 else f"{again} runs repeat"
+    return [f"{words} the settings and the seed of another; medians count each"]
+
+
+def _by_value(runs: Sequence[Run], value: Callable[[Run], str]) -> dict[str, list[Run]]:
+    found: dict[str, list[Run]] = {}
+    for run in runs:
+        found.setdefault(value(run), []).append(run)
+    return found
+
+
+def _values(found: dict[str, list[Run]]) -> str:
+    """ "0.20.0 in 34 runs (results/a), 0.19.0 in 1 run (results/b/rbtm)"."""
+    parts = []
+    for value, runs in found.items():
+        few = len(runs) <= NAMED
+        places = dict.fromkeys(str(run.path if few else run.path.parent) for run in runs)
+        parts.append(f"{value} in {_runs(len(runs))} ({_few(list(places))})")
+    return ", ".join(parts)
+
+
+def _first(lines: list[str], what: str) -> str:
+    more = len(lines) - 1
+    return lines[0] + (f"; and so for {more} more {what}{'s' * (more > 1)}" if more else "")
+
+
+def _few(names: Sequence[str]) -> str:
+    more = len(names) - NAMED
+    return ", ".join([*names[:NAMED], *([f"{more} more"] if more > 0 else [])])
+
+
+def _runs(count: int) -> str:
+    return "1 run" if count == 1 else f"{count} runs"
+
+
+def failures(folders: Sequence[Path]) -> list[str]:
+    """A line for every run that did not end well."""
+    runs = frame.find_runs(folders)
+    return [f"{r.path.name}: {r.record.get('reason')}" for r in runs if not r.done]

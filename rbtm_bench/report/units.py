@@ -1,0 +1,213 @@
+"""What the runs of a method are resampled and paired by.
+
+A unit is an independent data set, told by its fingerprint: a seed of a simulated environment is
+one, a log is one however often it was run. Within one log the units are the place-time clusters
+of its relations (rbtm_bench.report.intervals).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from rbtm_bench.core.types import Array
+from rbtm_bench.metrics.relation_errors import FILE, RelationErrors
+from rbtm_bench.report import frame, intervals
+from rbtm_bench.report.frame import MethodRuns, Run
+from rbtm_bench.report.intervals import Interval, Labels, Statistic
+
+DATA_SETS, CLUSTERS = "data sets", "clusters"
+
+_OF_RELATIONS = re.compile(r"relations_(local_|long_)?(translation_mean_m|rotation_mean_deg)$")
+"""Metrics that are the mean of an error of relations."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One metric of two methods on the same data: ``error`` and ``reference`` over what both
+    have, ``interval`` of error - reference, ``unit`` what it was resampled by, ``p`` of the
+    signed-rank test or None."""
+
+    error: float
+    reference: float
+    interval: Interval
+    unit: str
+    p: float | None
+
+
+class Units:
+    """The numbers of one method, by unit."""
+
+    def __init__(self, method: MethodRuns) -> None:
+        self.row = method.row
+        self._done = [run for run in method.runs if run.done]
+
+    def by_data_set(self, key: str) -> dict[str, float]:
+        """The metric by data set; of several runs on the same data their median."""
+        found: dict[str, list[float]] = {}
+        for run in self._done:
+            if is_number(run.metrics.get(key)):
+                found.setdefault(data_set(run), []).append(float(run.metrics[key]))
+        return {name: float(np.median(numbers)) for name, numbers in found.items()}
+
+    @cached_property
+    def signatures(self) -> dict[str, str]:
+        """All results by data set, as text: equal to the bit, they are of equal data."""
+        found: dict[str, list[Any]] = {}
+        for run in self._done:
+            kept = {k: v for k, v in run.metrics.items() if not frame.COSTS.match(k)}
+            found.setdefault(data_set(run), []).append(kept)
+        return {name: json.dumps(every, sort_keys=True) for name, every in found.items()}
+
+    @cached_property
+    def relations(self) -> RelationErrors | None:
+        """The errors of every relation if all runs are on one log (of several runs their mean),
+        and all have them: runs of older versions have not."""
+        files = [run.path / FILE for run in self._done]
+        if len({data_set(run) for run in self._done}) != 1 or not all(f.is_file() for f in files):
+            return None
+        found = [RelationErrors.read(file) for file in files]
+        if any(not np.array_equal(one.start, found[0].start) for one in found):
+            return None
+        translation = np.mean([one.translation_m for one in found], axis=0)
+        rotation = np.mean([one.rotation_deg for one in found], axis=0)
+        return replace(found[0], translation_m=translation, rotation_deg=rotation)
+
+    @cached_property
+    def _clusters(self) -> Labels:
+        errors = self.relations
+        assert errors is not None
+        return intervals.relation_clusters(errors.start, errors.end, errors.local)
+
+    def _of_relations(self, key: str) -> Array | None:
+        """The errors (R,) whose mean the metric is, NaN outside its group; None if it is none."""
+        match, errors = _OF_RELATIONS.match(key), self.relations
+        if match is None or errors is None:
+            return None
+        found = errors.rotation_deg if match[2].startswith("rotation") else errors.translation_m
+        if match[1]:
+            found = np.where(errors.local == (match[1] == "local_"), found, np.nan)
+        return None if np.isnan(found).all() else found
+
+    def estimate(self, key: str, statistic: Statistic) -> Interval | None:
+        """The metric over all units; None if no run has it."""
+        errors, relations = self._of_relations(key), self.relations
+        if errors is not None and relations is not None:
+            return intervals.cluster_interval(errors, self._clusters, relations.local)
+        found = self.by_data_set(key)
+        numbers = [found[name] for name in shared([self], key)]
+        return intervals.interval(numbers, statistic) if numbers else None
+
+    def minus(self, other: Units, key: str) -> Difference | None:
+        """This method's metric minus the other's, unit by unit; None if they share none."""
+        ours, theirs = self.by_data_set(key), other.by_data_set(key)
+        common = shared([self, other], key)
+        if not common:
+            return None
+        if set(common) == set(ours) == set(theirs) and len(common) == 1:
+            found = self._minus_by_cluster(other, key)
+            if found:
+                return found
+        a, b = (np.array([side[name] for name in common]) for side in (ours, theirs))
+        off = _without_rounding(a, b)
+        over, p = intervals.interval(off), intervals.signed_rank(off)
+        return Difference(float(np.median(a)), float(np.median(b)), over, DATA_SETS, p)
+
+    def _minus_by_cluster(self, other: Units, key: str) -> Difference | None:
+        """The same over the relations of one log that both have an error of."""
+        errors, others = self._of_relations(key), other._of_relations(key)
+        relations = self.relations
+        if errors is None or others is None or relations is None or len(errors) != len(others):
+            return None
+        off = _without_rounding(errors, others)
+        both = ~np.isnan(off)
+        if not both.any():
+            return None
+        over = intervals.cluster_interval(off, self._clusters, relations.local)
+        means = float(errors[both].mean()), float(others[both].mean())
+        return Difference(*means, over, CLUSTERS, None)
+
+
+def _without_rounding(a: Array, b: Array) -> Array:
+    """a - b, but 0 where they agree to nine digits: a test of signs does not see how little it
+    is that two ways of the same computation differ."""
+    return np.where(np.isclose(a, b, rtol=1e-9, atol=1e-12), 0.0, a - b)
+
+
+def shared(methods: Sequence[Units], key: str) -> list[str]:
+    """The independent data sets for which all methods have the metric: of those whose results
+    are the same to the bit (seeds without any noise) the first."""
+    found = [method.by_data_set(key) for method in methods]
+    common = [name for name in found[0] if all(name in one for one in found)]
+    first: dict[tuple[str, ...], str] = {}
+    for name in common:
+        first.setdefault(tuple(method.signatures[name] for method in methods), name)
+    return list(first.values())
+
+
+def is_number(value: Any) -> bool:
+    """True for a metric that exists."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def data_set(run: Run) -> str:
+    """What makes its data another data set: their fingerprint, or else its settings."""
+    found = run.record.get("dataset_fingerprint")
+    if found:
+        return str(found)
+    return json.dumps([run.record["choices"].get("dataset"), run.config.get("dataset")])
+
+
+def methods(runs: Sequence[Run], pool: bool) -> list[MethodRuns]:
+    """The methods; with ``pool`` those that differ only in their data are one."""
+    found = frame.methods(runs)
+    names = {method.row["data"] for method in found}
+    if not pool or len(names) < 2:
+        return found
+    kinds = dict.fromkeys(str(method.row["dataset"]) for method in found)
+    name = f"{', '.join(kinds)} ({len(names)} pooled)"
+    together: dict[str, list[MethodRuns]] = {}
+    for method in found:
+        together.setdefault(key_without_data(method.runs[0]), []).append(method)
+    return [_pooled(group, name) for group in together.values()]
+
+
+def key_without_data(run: Run) -> str:
+    """What two runs share that differ only in their data and their seed."""
+    choices = {k: v for k, v in run.record["choices"].items() if k != "dataset"}
+    config = {k: v for k, v in run.config.items() if k != "dataset"}
+    return frame.method_key(replace(run, record={"choices": choices}, config=config))
+
+
+def _pooled(group: list[MethodRuns], name: str) -> MethodRuns:
+    runs = [run for method in group for run in method.runs]
+    done = sum(run.done for run in runs)
+    status = "done" if done == len(runs) else f"{done} of {len(runs)} done"
+    row = dict(group[0].row)
+    for method in group[1:]:  # a metric may exist on some of the data only
+        row.update({k: v for k, v in method.row.items() if row.get(k) is None})
+    return MethodRuns({**row, "data": name, "seeds": len(runs), "status": status}, runs)
+
+
+def grouped(found: Sequence[MethodRuns], columns: Sequence[str]) -> list[list[MethodRuns]]:
+    """The methods that agree in these columns; in "selector" with all its settings, unless those
+    were chosen on other data (``tables.held_out``)."""
+    together: dict[tuple[Any, ...], list[MethodRuns]] = {}
+    for method in found:
+        key = [method.row[column] for column in columns]
+        if "selector" in columns and "chosen_on" not in method.row:
+            key.append(json.dumps(_selector(method.runs[0])))
+        together.setdefault(tuple(key), []).append(method)
+    return list(together.values())
+
+
+def _selector(run: Run) -> list[Any]:
+    selector = run.config.get("selector") or {}
+    words = frame.selector_settings(selector)
+    return [selector.get("window"), selector.get("threshold"), words]

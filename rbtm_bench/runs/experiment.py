@@ -1,0 +1,329 @@
+"""One run: settings in, a folder of files out.
+
+A run folder holds ``config.yaml`` (resolved), ``run.json`` (status and provenance),
+``steps.parquet`` (a row a scan), ``trajectory.tum``, ``metrics.json`` and ``map.npz``, and, where
+they exist, ``ground_truth.tum``, ``similarity.npz`` and ``relations.parquet`` (the error of every
+relation). Every file appears whole or not at all.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from rbtm_bench.backends.system import System
+from rbtm_bench.core.errors import ConfigError, RbtmBenchError
+from rbtm_bench.core.files import make_folder, write_atomically, write_json, write_text
+from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.core.types import Array, StepRecord
+from rbtm_bench.datasets.base import Dataset
+from rbtm_bench.metrics.base import Metric, evaluated
+from rbtm_bench.metrics.cost import peak_memory_mb
+from rbtm_bench.metrics.relation_errors import FILE as RELATIONS
+from rbtm_bench.metrics.relations import RelationError
+from rbtm_bench.metrics.summary import summarise_steps
+from rbtm_bench.odometry.loop import Method, odometry
+from rbtm_bench.odometry.system import system_odometry
+from rbtm_bench.runs import provenance
+from rbtm_bench.runs.pinning import pin_to_free_core
+from rbtm_bench.runs.settings import PLUGIN_GROUPS, Settings, is_system, locate
+from rbtm_bench.similarity.base import Similarity
+
+Progress = Callable[[int, int], None]
+"""Called with scans done and scans in all."""
+
+SIMILARITY_PICTURE = 181
+"""Scans at most in the similarity matrix that a run keeps: the paper's Fig. 1(c)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """A run's plug-ins, instantiated. A system is a method by itself."""
+
+    dataset: Dataset
+    method: Method | System
+    metrics: tuple[Metric, ...]
+
+
+class Bench(Protocol):
+    """Gives a run its plug-ins; ``workbench.Workbench`` shares them between runs."""
+
+    def parts(self, settings: Settings) -> Parts: ...
+
+
+def run(
+    settings: Settings, out: Path, progress: Progress | None = None, bench: Bench | None = None
+) -> dict[str, Any]:
+    """Run one experiment into the folder ``out`` and return its ``run.json``.
+
+    With a ``bench`` the plug-ins answer from what earlier runs of the process have computed.
+    Raises ``ConfigError``/``DataError`` before anything is written if the settings or the data
+    are at fault. Once started, any failure is written to ``run.json`` with its reason and then
+    raised.
+    """
+    refuse_existing(out, bool(settings.config["overwrite"]))
+    core = pin_to_free_core() if settings.config["pin"] else None
+    parts = bench.parts(settings) if bench else instantiate(settings)
+    record = provenance.of_run(settings, parts.dataset, core)
+    make_folder(out)
+    clear(out)
+    write_config(out, settings)
+    write_json(out / "run.json", record)
+    try:
+        record["seconds"] = _execute(parts, settings, out, progress)
+        record["status"] = "done"
+    except BaseException as error:
+        record["status"], record["reason"] = "failed", reason(error)
+        record["traceback"] = traceback.format_exc()
+        raise
+    finally:
+        record["finished"] = provenance.now()
+        write_json(out / "run.json", record)
+    return record
+
+
+def fail(settings: Settings, out: Path, error: BaseException) -> None:
+    """Leave a run that could not even start as a failed run with its reason."""
+    make_folder(out)
+    clear(out)
+    write_config(out, settings)
+    record = provenance.of_run(settings, None, None)
+    record.update(status="failed", reason=reason(error), finished=provenance.now())
+    write_json(out / "run.json", record)
+
+
+def refuse_existing(out: Path, overwrite: bool) -> None:
+    """Raise ``ConfigError`` if ``out`` holds anything already, unless it may be overwritten."""
+    if out.is_dir() and any(out.iterdir()) and not overwrite:
+        raise ConfigError(f"out={out}: already holds files; choose another, or overwrite=true")
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"out={out}: a file, expected a folder")
+
+
+def instantiate(settings: Settings) -> Parts:
+    """The plug-ins of checked settings; opens and validates the data set.
+
+    Raises ``ConfigError`` where parts do not fit together, ``DataError`` for bad data.
+    """
+    config = settings.config
+    dataset = build(config["dataset"])
+    check_fit(settings, dataset)
+    if is_system(config):
+        return Parts(dataset, build(config["backend"]), build_metrics(config))
+    method = Method(
+        **{g: build(config[g]) for g in PLUGIN_GROUPS if g != "dataset"},
+        guess_along_degenerate=config["guess_along_degenerate"],
+    )
+    return Parts(dataset, method, build_metrics(config))
+
+
+def build_metrics(config: dict[str, Any]) -> tuple[Metric, ...]:
+    """The metrics of resolved settings."""
+    return tuple(build(node) for node in (config.get("metrics") or {}).values())
+
+
+def check_fit(settings: Settings, dataset: Dataset) -> None:
+    """Raise ``ConfigError`` if a chosen plug-in cannot work on the data set.
+
+    Loads no backend library: only a backend's class is looked at.
+    """
+    config = settings.config
+    backend = locate("backend", config["backend"]["_target_"])
+    dimensions = getattr(backend, "dimensions", ("2d", "3d"))  # a factory function has none
+    needed = "2d" if dataset.planar else "3d"
+    if needed not in dimensions:
+        raise ConfigError(
+            f"backend={settings.choices.get('backend')} is for {', '.join(dimensions)} only; "
+            f"this data set is {needed}"
+        )
+    if is_system(config):
+        return
+    build(config["guess"]).check(dataset)
+    _check_selector(settings, dataset)
+
+
+def _check_selector(settings: Settings, dataset: Dataset) -> None:
+    """Raise ``ConfigError`` if the selector lacks scores, truth or a check that it needs."""
+    config, choices = settings.config, settings.choices
+    name = f"selector={choices.get('selector')}"
+    selector = locate("selector", config["selector"]["_target_"])
+    if getattr(selector, "needs_scores", False):
+        build(config["similarity"]).check(dataset)
+    if getattr(selector, "needs_truth", False) and not dataset.has_ground_truth:
+        path = config["dataset"].get("path")
+        where = f"dataset={choices.get('dataset')}" + (f" ({path})" if path else "")
+        raise ConfigError(
+            f"{name} chooses by ground truth, and {where} has none: "
+            "expected a data set with the true pose of every scan"
+        )
+    check = locate("check", config["check"]["_target_"])
+    if getattr(selector, "needs_check", False) and getattr(check, "accepts_all", False):
+        raise ConfigError(
+            f"{name} needs a check, and check={choices.get('check')} accepts everything: "
+            "expected one that can reject, such as check=gated"
+        )
+
+
+def build(node: dict[str, Any]) -> Any:
+    """Instantiate one plug-in by Hydra; our own errors come out as they are."""
+    import hydra.utils
+    from hydra.errors import InstantiationException
+
+    try:
+        return hydra.utils.instantiate(node, _convert_="all")
+    except InstantiationException as error:
+        cause: BaseException | None = error
+        while cause is not None:
+            if isinstance(cause, RbtmBenchError):
+                raise cause from None
+            if isinstance(cause, ImportError):
+                raise ConfigError(
+                    f"{node['_target_']} needs a package that is not there: {cause}; "
+                    "see rbtm-bench doctor"
+                ) from error
+            cause = cause.__cause__ or cause.__context__
+        lines = [line for line in str(error).splitlines() if not line.startswith("full_key")]
+        raise ConfigError(" ".join(lines)) from error
+
+
+def reason(error: BaseException) -> str:
+    """One line that says why a run failed."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    if isinstance(error, RbtmBenchError):
+        return text
+    return f"{type(error).__name__}: {text}"
+
+
+def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | None) -> float:
+    """The loop and its files; returns the loop's wall time in s."""
+    started = time.perf_counter()
+    dataset = parts.dataset
+    records: list[StepRecord] = []
+    poses: list[Array] = []
+    truth: list[Array] = []
+    for scan, step in with_scans(dataset, parts.method):
+        records.append(step.record)
+        poses.append(step.T_world_scan)
+        truth.append(np.full((4, 4), np.nan) if scan.ground_truth is None else scan.ground_truth)
+        if progress:
+            progress(len(records), len(dataset))
+    seconds, memory = time.perf_counter() - started, peak_memory_mb()
+    stamps = np.array([record.stamp for record in records])
+    estimate = Trajectory(stamps, np.stack(poses))
+    reference = Trajectory(stamps, np.stack(truth)) if dataset.has_ground_truth else None
+    write_steps(out / "steps.parquet", records)
+    estimate.write_tum(out / "trajectory.tum")
+    if reference is not None and reference.known.all():
+        reference.write_tum(out / "ground_truth.tum")
+    values: dict[str, Any] = summarise_steps(records, memory)
+    for metric in parts.metrics:
+        values.update(evaluated(metric, estimate, reference, dataset))
+        if isinstance(metric, RelationError) and dataset.relations is not None:
+            metric.errors(estimate, dataset.relations).write(out / RELATIONS)
+    write_json(out / "metrics.json", values)
+    if settings.config["pictures"]:
+        _write_pictures(parts, estimate, float(settings.config["map_resolution"]), out)
+    return seconds
+
+
+def with_scans(dataset: Dataset, method: Method | System) -> Any:
+    """Pairs (scan, step): the loop reads one scan and answers with one step."""
+    current: list[Any] = []
+
+    def stream() -> Any:
+        for scan in dataset:
+            current[:] = [scan]
+            yield scan
+
+    if isinstance(method, System):
+        steps = system_odometry(stream(), method)
+    else:
+        steps = odometry(stream(), method)
+    for step in steps:
+        yield current[0], step
+
+
+def _write_pictures(parts: Parts, estimate: Trajectory, resolution: float, out: Path) -> None:
+    """What pictures need beyond the steps: the map, as points and as an occupancy grid of what
+    planar scans saw, and a similarity matrix."""
+    from rbtm_bench.runs.mapping import build_map
+
+    points = build_map(parts.dataset, estimate.T_world_scan, resolution)
+    grid: dict[str, Any] = {}
+    if parts.dataset.planar:  # in space a beam seen from above crosses walls that it passes over
+        from rbtm_bench.runs.occupancy import build_grid
+
+        poses = estimate.T_world_scan
+        grid = build_grid(parts.dataset, poses, points, resolution).arrays()
+    write_npz(out / "map.npz", points=points, **grid)
+    if isinstance(parts.method, System) or not parts.method.selector.needs_scores:
+        return
+    scans, scores = similarity_matrix(parts.dataset, parts.method.similarity)
+    write_npz(out / "similarity.npz", scans=scans, scores=scores)
+
+
+def similarity_matrix(dataset: Dataset, similarity: Similarity) -> tuple[Any, Array]:
+    """Scan numbers (K,) and scores (K, K) of at most 181 scans spread over the data set."""
+    count = min(len(dataset), SIMILARITY_PICTURE)
+    scans = np.unique(np.linspace(0, len(dataset) - 1, count).round().astype(np.int64))
+    descriptors = np.stack([similarity.describe(dataset[int(i)].without_truth()) for i in scans])
+    return scans, similarity.matrix(descriptors)
+
+
+def write_steps(path: Path, records: list[StepRecord]) -> None:
+    """``steps.parquet``: a row a scan, the columns of ``StepRecord``."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    schema = pa.schema([(name, kind) for name, kind in _step_columns(pa)])
+    table = pa.Table.from_pylist([asdict(record) for record in records], schema=schema)
+    write_atomically(path, lambda p: pq.write_table(table, p))
+
+
+def _step_columns(pa: Any) -> list[tuple[str, Any]]:
+    kinds = {"int": pa.int64(), "float": pa.float64(), "str": pa.string(), "bool": pa.bool_()}
+    kinds["list[float]"] = pa.list_(pa.float64())
+    annotations = StepRecord.__annotations__
+    return [(name, kinds[str(kind).split(" ")[0]]) for name, kind in annotations.items()]
+
+
+def write_npz(path: Path, **arrays: Any) -> None:
+    """A compressed numpy archive."""
+
+    def write(partial: Path) -> None:
+        with open(partial, "wb") as file:
+            np.savez_compressed(file, **arrays)
+
+    write_atomically(path, write)
+
+
+def write_config(out: Path, settings: Settings) -> None:
+    """``config.yaml``: the resolved settings, enough to run the same again."""
+    from omegaconf import OmegaConf
+
+    write_text(out / "config.yaml", OmegaConf.to_yaml(OmegaConf.create(settings.config)))
+
+
+FILES = (
+    "config.yaml",
+    "run.json",
+    "steps.parquet",
+    "trajectory.tum",
+    "ground_truth.tum",
+    "metrics.json",
+    "map.npz",
+    "similarity.npz",
+    RELATIONS,
+)
+
+
+def clear(out: Path) -> None:
+    """Remove an earlier run's files, and only those."""
+    for name in FILES:
+        (out / name).unlink(missing_ok=True)

@@ -1,0 +1,95 @@
+"""Where a run's numbers come from: versions, host, command, data."""
+
+from __future__ import annotations
+
+import datetime
+import os
+import platform
+import shlex
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from rbtm_bench import __version__
+from rbtm_bench.datasets.base import Dataset
+from rbtm_bench.runs.settings import Settings
+
+PACKAGES = ("numpy", "scipy", "open3d", "kiss-icp", "evo", "hydra-core")
+
+
+def of_run(settings: Settings, dataset: Dataset | None, core: int | None) -> dict[str, Any]:
+    """The head of ``run.json``, status "started"."""
+    return {
+        "status": "started",
+        "reason": None,
+        "started": now(),
+        "finished": None,
+        "seconds": None,
+        "choices": settings.choices,
+        "overrides": list(settings.overrides),
+        "seed": settings.config["seed"],
+        "scans": len(dataset) if dataset is not None else None,
+        "skipped_records": dataset.skipped if dataset is not None else None,
+        "dataset_fingerprint": dataset.fingerprint() if dataset is not None else None,
+        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "core": core,
+        "versions": {"rbtm_bench": __version__, "python": platform.python_version(), **packages()},
+        "git": git_hash(),
+        "host": platform.node(),
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
+    }
+
+
+def packages() -> dict[str, str | None]:
+    """Installed versions of the libraries that make the numbers."""
+    found: dict[str, str | None] = {}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = None
+    return found
+
+
+def versions_of(requires: tuple[str, ...]) -> dict[str, str | None]:
+    """What a registration's last bits depend on: the backend's packages, what we evaluate with,
+    and the processor, whose instructions the libraries choose by."""
+    found: dict[str, str | None] = {"rbtm_bench": __version__, "cpu": processor()}
+    for module in ("numpy", "scipy", *requires):
+        try:
+            found[module] = version(module.replace("_", "-"))
+        except PackageNotFoundError:
+            found[module] = None
+    return found
+
+
+def processor() -> str:
+    """The processor's model, as the system names it."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
+            for line in file:
+                if line.startswith("model name"):
+                    return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+def git_hash() -> str | None:
+    """Commit of the checkout that this package runs from, with "+" for local changes."""
+    root = Path(__file__).resolve().parents[2]
+    if not (root / ".git").exists():
+        return None
+    try:
+        describe = ["git", "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*"]
+        done = subprocess.run(describe, cwd=root, capture_output=True, text=True, timeout=10)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None
+
+
+def now() -> str:
+    """The time in ISO 8601, to the second, with its zone."""
+    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
