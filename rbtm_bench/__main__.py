@@ -2,6 +2,6 @@
 
 import sys
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 
 sys.exit(main())

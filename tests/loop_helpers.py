@@ -11,11 +11,11 @@ from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.check.base import Check
 from rbtm_bench.check.gated import Gated
 from rbtm_bench.core.errors import BackendError
-from rbtm_bench.core.geometry import inverse, se2
-from rbtm_bench.core.types import Array, RegistrationResult, Scan, Step
+from rbtm_bench.core.geometry import inverse, se2, transform
+from rbtm_bench.core.types import Array, Scan, Step
 from rbtm_bench.guess.base import Guess
 from rbtm_bench.guess.odometry import Odometry
-from rbtm_bench.odometry.loop import Method
+from rbtm_bench.odometry.method import Method
 from rbtm_bench.selection.base import Selector
 from rbtm_bench.selection.previous import Previous
 from rbtm_bench.similarity.base import Similarity
@@ -30,13 +30,17 @@ def true_pose(scan: int) -> Array:
     return se2(0.1 * scan, 0.02 * scan**2, 0.05 * scan)
 
 
+PLACE = np.random.default_rng(0).uniform(-5.0, 5.0, (10, 3))
+"""What every scan sees, m."""
+
+
 def drive(count: int, first: int = 0) -> list[Scan]:
     """Scans whose odometry creeps away from the truth by 1 % of x."""
     shrunk = [true_pose(i) for i in range(first, first + count)]
     for T in shrunk:
         T[0, 3] *= 0.99
     return [
-        Scan(first + i, 0.1 * i, np.full((10, 3), float(first + i)), odometry=T)
+        Scan(first + i, 0.1 * i, transform(inverse(true_pose(first + i)), PLACE), odometry=T)
         for i, T in enumerate(shrunk)
     ]
 
@@ -55,9 +59,6 @@ class Perfect(Backend):
     def build(self, points: Array, planar: bool) -> Any:
         raise NotImplementedError
 
-    def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
-        raise NotImplementedError
-
     def prepare(self, scan: Scan) -> Prepared:
         if scan.index in self.unusable:
             raise BackendError(f"scan {scan.index}: 2 points")
@@ -66,16 +67,14 @@ class Perfect(Backend):
     def merge(self, parts: Any) -> Prepared:
         raise BackendError("no maps here")
 
-    def register(
-        self, source: Prepared, target: Prepared, T_target_source: Array
-    ) -> RegistrationResult:
+    def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
         model, scan = int(target.native), int(source.native)
         self.calls.append((model, scan, T_target_source))
         if (model, scan) in self.fails:
             raise BackendError("the library raised")
         T = inverse(true_pose(model)) @ true_pose(scan)
         converged = (model, scan) not in self.lost
-        return RegistrationResult(T, converged, 0.9, 0.01, 9, iterations=3, library_fitness=0.8)
+        return Alignment(T, converged, iterations=3, library_fitness=0.8)
 
     @property
     def tried(self) -> list[Pair]:

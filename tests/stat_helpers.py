@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.files import write_json, write_text
 from rbtm_bench.metrics.relation_errors import RelationErrors
 

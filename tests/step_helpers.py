@@ -16,7 +16,7 @@ TIMES = ("t_prepare_s", "t_describe_s", "t_guess_s", "t_select_s", "t_register_s
 
 def steps(parts: experiment.Parts) -> list[Step]:
     """A whole run."""
-    return list(odometry(parts.dataset, parts.method))
+    return list(odometry(parts.dataset, parts.method, parts.work))
 
 
 def rows(run: list[Step]) -> list[dict[str, Any]]:

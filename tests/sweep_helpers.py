@@ -16,7 +16,7 @@ from typing import Any
 
 from moody_backend import CONFIGS
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 
 TESTS = Path(__file__).parent
 SMALL = ("dataset.scans=12", "selector=previous")

@@ -1,8 +1,9 @@
 """What a backend is: ``prepare`` once a scan, ``register`` many pairs.
 
 ``Backend`` does what every method needs, once: it checks its input, keeps planar data in the
-plane, recomputes fitness and RMSE with one evaluator, and refuses to hand out a guess as a
-result. A plug-in writes ``build`` and ``align``.
+plane, and lets through nothing that is no motion. What comes out is a pose and what the library
+says of it; judging it is the business of whoever registers a pair (``odometry.judge``). A plug-in
+writes ``build`` and ``align``.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
@@ -20,16 +21,24 @@ from annotated_types import Ge, Gt
 from rbtm_bench.backends.neighbours_2d import Sorted2D, sorted_2d
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import is_rigid, to_plane, transform, voxel_downsample
-from rbtm_bench.core.types import Array, RegistrationResult, Scan
-from rbtm_bench.odometry.judge import compile_kernels, evaluate
+from rbtm_bench.core.types import Array, Scan
 
 MIN_POINTS = 6
 """Fewer points than this cannot hold six degrees of freedom against noise: an error."""
-MIN_INLIERS = 3
-"""With fewer inliers a plane motion is not determined: never called converged."""
-
 OUT_OF_PLANE = [2, 3, 4]
 """z, rx and ry among x, y, z, rx, ry, rz."""
+
+PROGRAMMING_ERRORS = (
+    AttributeError,
+    AssertionError,
+    ImportError,
+    KeyError,
+    NameError,
+    NotImplementedError,
+    TypeError,
+)
+"""What a plug-in raises because it is wrong, not because two scans do not match: the run fails,
+and does not go on as if every registration had been refused."""
 
 TargetKey = tuple[tuple[int, bytes | None], ...]
 """The scans that a prepared cloud holds: their numbers, and for merged ones where they lie."""
@@ -40,14 +49,13 @@ class Prepared:
     """A scan ready to be registered many times; never modified.
 
     ``points`` (N, 3) m, thinned; ``native`` is whatever the backend built from them. ``key``
-    names the scans that it holds, and ``seconds`` is what its preparation took.
+    names the scans that it holds.
     """
 
     points: Array
     planar: bool
     native: Any
     key: TargetKey = ()
-    seconds: float = 0.0
 
     @cached_property
     def tree(self) -> Any:
@@ -68,6 +76,7 @@ class Alignment:
 
     ``information`` is the (6, 6) information of a small motion d = (x, y, z, rx, ry, rz) in m and
     rad of the source in its own frame, T_target_source exp(d), in 1/m^2, 1/rad^2 and between.
+    ``seconds`` is the method's own time, measured around ``align``.
     """
 
     T_target_source: Array
@@ -76,10 +85,11 @@ class Alignment:
     information: Array | None = None
     library_fitness: float | None = None
     library_rmse: float | None = None
+    seconds: float = 0.0
 
 
 class Backend(ABC):
-    """A registration method. ``max_correspondence_distance`` (m) is also the evaluator's radius;
+    """A registration method. ``max_correspondence_distance`` (m) is also the judge's radius;
     ``voxel_size`` (m, 0: off) thins every scan before the method sees it."""
 
     requires: tuple[str, ...] = ()
@@ -87,7 +97,7 @@ class Backend(ABC):
     library: str = ""
     """What does the work, with its licence, for the page of backends."""
     converged_means: str = "not said by the library"
-    """When ``converged`` is True, in words; False always means fewer than 3 inliers, at least."""
+    """When ``converged`` is True, in words; never so, for the judge, with fewer than 3 inliers."""
     repeats: str = "same bits"
     """What makes results repeat bit for bit, and the threads it uses, in words."""
     dimensions: tuple[Literal["2d", "3d"], ...] = ("2d", "3d")
@@ -99,8 +109,6 @@ class Backend(ABC):
     self_tolerance: float = 1e-6
     """How far (m, rad) from no motion a scan registered to itself may end. More than 1e-6 only for
     methods that do not compare points with points, but with cells, bins or averages of them."""
-    saved_seconds: float = 0.0
-    """What the last answer would have taken, had it not been shared; plug-ins leave it alone."""
 
     def __init__(
         self,
@@ -109,7 +117,6 @@ class Backend(ABC):
     ) -> None:
         self.max_correspondence_distance = max_correspondence_distance
         self.voxel_size = voxel_size
-        compile_kernels()
 
     @abstractmethod
     def build(self, points: Array, planar: bool) -> Any:
@@ -122,76 +129,87 @@ class Backend(ABC):
     def prepare(self, scan: Scan) -> Prepared:
         """Thin and build a scan, once. Raises ``BackendError`` on points that are not finite or
         too few (fewer than 6)."""
-        started = time.perf_counter()
         points = np.array(scan.points, dtype=np.float64, order="C")  # the scan's stay as they are
         if points.ndim != 2 or points.shape[1] != 3:
             raise BackendError(f"scan {scan.index}: points {points.shape}: expected (N, 3)")
         if not np.isfinite(points).all():
             raise BackendError(f"scan {scan.index}: some points are not finite")
         thinned = voxel_downsample(points, self.voxel_size)
-        return self._prepared(thinned, scan.planar, ((scan.index, None),), started)
+        return self._prepared(thinned, scan.planar, ((scan.index, None),))
 
     def merge(self, parts: Sequence[tuple[Prepared, Array]]) -> Prepared:
         """One target out of several prepared scans, each with its T_target_part (4, 4)."""
-        started = time.perf_counter()
         points = np.concatenate([transform(T, part.points) for part, T in parts])
         thinned = voxel_downsample(points, self.voxel_size)
         key = tuple((number, T.tobytes()) for part, T in parts for number, _ in part.key)
-        return self._prepared(thinned, all(part.planar for part, _ in parts), key, started)
+        return self._prepared(thinned, all(part.planar for part, _ in parts), key)
 
-    def register(
-        self, source: Prepared, target: Prepared, T_target_source: Array
-    ) -> RegistrationResult:
+    def register(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
         """Register source to target from the initial guess ``T_target_source`` (4, 4).
 
-        ``converged`` is False, whatever the library says, when fewer than 3 source points lie
-        within the radius of the target. ``seconds`` is the method's own time.
-        Raises ``BackendError`` for a guess that is no rigid motion, or if the library fails.
+        Returns what ``align`` says, its motion float64 and, between planar scans, in the plane,
+        its information symmetric. Raises ``TypeError`` or ``ValueError`` for a caller's mistake,
+        ``BackendError`` if the library fails, and what a wrong plug-in raises as it is.
         """
-        guess = np.array(T_target_source, dtype=np.float64)
-        if not is_rigid(guess):
-            raise BackendError("the initial guess is not a rigid 4x4 motion")
+        guess = _checked_guess(source, target, T_target_source)
+        name = type(self).__name__
         started = time.perf_counter()
         try:
-            alignment = self.align(source, target, guess)
-        except BackendError:
+            alignment: Any = self.align(source, target, guess)  # a plug-in may return anything
+        except (BackendError, *PROGRAMMING_ERRORS):
             raise
         except Exception as error:
-            raise BackendError(f"{type(self).__name__}: {type(error).__name__}: {error}") from error
+            raise BackendError(f"{name}: {type(error).__name__}: {error}") from error
         seconds = time.perf_counter() - started
+        if not isinstance(alignment, Alignment):
+            kind = type(alignment).__name__
+            raise TypeError(f"{name}.align returned {kind}: expected an Alignment")
         T = np.array(alignment.T_target_source, dtype=np.float64)
         if not is_rigid(T, tolerance=1e-5):
-            raise BackendError(f"{type(self).__name__} returned no rigid motion")
-        information = alignment.information
-        if information is not None:
-            information = np.array(information, dtype=np.float64)
-            if information.shape != (6, 6):
-                raise BackendError(f"information {information.shape}: expected (6, 6)")
-        if source.planar and target.planar:
-            T = to_plane(T)
-            if information is not None:
-                information[OUT_OF_PLANE], information[:, OUT_OF_PLANE] = 0.0, 0.0
-        # a library's own kind of bool would not be the `False` that checks look for
-        converged = None if alignment.converged is None else bool(alignment.converged)
-        found = evaluate(source, target, T, self.max_correspondence_distance)
-        return RegistrationResult(
-            T_target_source=T,
-            converged=False if found.inliers < MIN_INLIERS else converged,
-            fitness=found.fitness,
-            inlier_rmse=found.inlier_rmse,
-            inliers=found.inliers,
-            iterations=alignment.iterations,
+            raise BackendError(f"{name} returned no rigid motion")
+        planar = source.planar and target.planar
+        return replace(
+            alignment,
+            T_target_source=to_plane(T) if planar else T,
+            # a library's own kind of bool would not be the `False` that checks look for
+            converged=None if alignment.converged is None else bool(alignment.converged),
+            information=_checked_information(alignment.information, planar),
             seconds=seconds,
-            information=information,
-            library_fitness=alignment.library_fitness,
-            library_rmse=alignment.library_rmse,
-            localizability=found.localizability,
         )
 
-    def _prepared(self, points: Array, planar: bool, key: TargetKey, started: float) -> Prepared:
+    def _prepared(self, points: Array, planar: bool, key: TargetKey) -> Prepared:
         if len(points) < MIN_POINTS:
             raise BackendError(
                 f"scan {key[0][0]}: {len(points)} points: expected at least {MIN_POINTS}"
             )
-        native = self.build(points, planar)
-        return Prepared(points, planar, native, key, time.perf_counter() - started)
+        return Prepared(points, planar, self.build(points, planar), key)
+
+
+def _checked_guess(source: Any, target: Any, T_target_source: Any) -> Array:
+    """The guess as float64. Raises ``TypeError`` or ``ValueError`` for what is none."""
+    for name, cloud in (("source", source), ("target", target)):
+        if not isinstance(cloud, Prepared):
+            kind = type(cloud).__name__
+            raise TypeError(f"{name} is {kind}: expected what prepare() returns, a Prepared")
+    try:
+        guess = np.array(T_target_source, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"T_target_source is no array of numbers: {error}") from error
+    if not is_rigid(guess):
+        raise ValueError("the initial guess is not a rigid 4x4 motion")
+    return guess
+
+
+def _checked_information(given: Array | None, planar: bool) -> Array | None:
+    """The information (6, 6), symmetric to the last bit, which a product of matrices is not on
+    every processor; in the plane without what leaves it. Raises ``BackendError`` for other shapes.
+    """
+    if given is None:
+        return None
+    information = np.array(given, dtype=np.float64)
+    if information.shape != (6, 6):
+        raise BackendError(f"information {information.shape}: expected (6, 6)")
+    information = 0.5 * (information + information.T)
+    if planar:
+        information[OUT_OF_PLANE], information[:, OUT_OF_PLANE] = 0.0, 0.0
+    return information

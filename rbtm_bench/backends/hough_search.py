@@ -15,10 +15,9 @@ from rbtm_bench.backends.hough import (
     peaks,
     vote,
 )
-from rbtm_bench.backends.neighbours_2d import Sorted2D, nearest_2d
+from rbtm_bench.backends.neighbours_2d import Sorted2D, nearest_2d, tangent_at
 from rbtm_bench.core.kernels import kernel
 from rbtm_bench.core.types import Array
-from rbtm_bench.odometry.judge import tangent_at
 
 Pose = tuple[float, float, float]
 """x, y in m, theta in rad."""

@@ -218,5 +218,5 @@ def _compile(method: HoughScanMatching) -> None:
     points = np.concatenate(
         [np.column_stack([along, 0 * along]), np.column_stack([0 * along, 0.7 * along])]
     )
-    model = method._prepared(np.column_stack([points, np.zeros(40)]), True, ((0, None),), 0.0)
+    model = method._prepared(np.column_stack([points, np.zeros(40)]), True, ((0, None),))
     method.align(model, model, np.eye(4))

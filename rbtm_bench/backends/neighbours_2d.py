@@ -71,3 +71,26 @@ def nearest_2d(points: Sorted2D, x: float, y: float, radius: float) -> tuple[int
         if square < best:
             best, found = square, place
     return found, (np.sqrt(best) if found >= 0 else np.inf)
+
+
+@kernel
+def tangent_at(points: Sorted2D, place: int, radius: float) -> tuple[int, float]:
+    """How many points lie within ``radius`` of one of them, itself included, and the direction
+    (rad) of their larger spread."""
+    xy, axis = points.xy, points.axis
+    x, y = xy[place, 0], xy[place, 1]
+    n, mx, my, xx, xy_, yy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for direction in (-1, 1):
+        k = place if direction < 0 else place + 1
+        while 0 <= k < len(xy) and abs(xy[k, axis] - xy[place, axis]) < radius:
+            dx, dy = xy[k, 0] - x, xy[k, 1] - y
+            if dx * dx + dy * dy < radius * radius:
+                n += 1
+                mx += dx
+                my += dy
+                xx += dx * dx
+                xy_ += dx * dy
+                yy += dy * dy
+            k += direction
+    a, b, d = xx - mx * mx / n, xy_ - mx * my / n, yy - my * my / n
+    return n, 0.5 * np.arctan2(2.0 * b, a - d)

@@ -16,6 +16,7 @@ from rbtm_bench.core.errors import BackendError, DataError
 from rbtm_bench.core.geometry import inverse, rotation_angle, se2, se3, translation_norm
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
+from rbtm_bench.odometry import judge
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +90,7 @@ def register_all(
                 if key not in prepared:
                     prepared[key] = backend.prepare(scan.without_truth())
             source, target = prepared[id(pair.source)], prepared[id(pair.target)]
-            result = backend.register(source, target, guess)
+            result = judge.register(backend, source, target, guess)
         except BackendError as error:
             yield Outcome(math.nan, math.nan, math.nan, reason=str(error))
             continue

@@ -109,6 +109,7 @@ def register_chunk(data: Node, backend: Node, tasks: Sequence[Task]) -> list[Row
 
 def _registered(task: Task) -> Row:
     from rbtm_bench.calibration.known_pairs import errors_of
+    from rbtm_bench.odometry import judge
 
     plugin: Backend = _kept.plugin
 
@@ -119,7 +120,7 @@ def _registered(task: Task) -> Row:
         return found
 
     def register(target: int, source: int, guess: Array) -> RegistrationResult:
-        return plugin.register(prepared(source), prepared(target), guess)
+        return judge.register(plugin, prepared(source), prepared(target), guess)
 
     row: Row = {"number": task.number, "error_m": math.nan, "error_deg": math.nan}
     row |= {"seconds": math.nan, "converged": None, "fitness": math.nan, "inlier_rmse_m": math.nan}

@@ -9,6 +9,7 @@ from rbtm_bench.backends.base import Backend
 from rbtm_bench.contract.scene import World
 from rbtm_bench.core.geometry import inverse, rotation_angle, transform, translation_norm
 from rbtm_bench.core.types import Array, RegistrationResult, Scan
+from rbtm_bench.odometry import judge
 from rbtm_bench.odometry.judge import evaluate
 
 GROUP = "backend"
@@ -21,7 +22,7 @@ def register(
 ) -> RegistrationResult:
     """Prepare both scans and register them, from no motion unless told otherwise."""
     prepared, model = backend.prepare(source), backend.prepare(target)
-    return backend.register(prepared, model, np.eye(4) if guess is None else guess)
+    return judge.register(backend, prepared, model, np.eye(4) if guess is None else guess)
 
 
 def assert_near(T: Array, truth: Array, world: World, what: str) -> None:
@@ -55,7 +56,7 @@ def test_the_result_maps_source_points_into_the_target_frame(
     known = world.motions["curve"]
     source, target = world.pair(known)
     prepared, model = registers.prepare(source), registers.prepare(target)
-    T = registers.register(prepared, model, np.eye(4)).T_target_source
+    T = judge.register(registers, prepared, model, np.eye(4)).T_target_source
     radius = 0.1 if world.name == "3d" else 0.05
     found, wrong, truth = (
         evaluate(prepared, model, motion, radius)[0]
@@ -119,7 +120,7 @@ def test_merged_scans_are_a_target(backend: Backend, world: World) -> None:
     assert 0 < len(merged.points) <= most, (
         f"merge() of {most} points gave {len(merged.points)}: expected no more than its parts have"
     )
-    result = backend.register(backend.prepare(source), merged, np.eye(4))
+    result = judge.register(backend, backend.prepare(source), merged, np.eye(4))
     if not backend.is_baseline:
         truth = curve.T_target_source
         assert_near(result.T_target_source, truth, world, "registered to a merged target")

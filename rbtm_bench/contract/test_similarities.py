@@ -14,7 +14,7 @@ from rbtm_bench.core.geometry import inverse, se2
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.datasets.corridor import Corridor
-from rbtm_bench.runs.workbench import SharedSimilarity
+from rbtm_bench.pairs.shared import KnownScores
 from rbtm_bench.similarity.base import Descriptor, Similarity
 
 GROUP = "similarity"
@@ -260,17 +260,15 @@ def test_a_scan_without_returns_has_no_score_under_any_motion(
 def test_a_sweep_shares_the_same_bits(
     similarity: Similarity, dataset: Dataset, descriptors: Descriptor
 ) -> None:
-    shared = SharedSimilarity(similarity, dataset)
+    shared = KnownScores(similarity, dataset)
     shared.widen(3)
-    assert shared.needs_guess == similarity.needs_guess
-    numbers = np.stack([shared.describe(scan) for scan in dataset])
-    assert shared.matrix(numbers).tobytes() == similarity.matrix(descriptors).tobytes()
+    numbers = np.stack([shared.describe(scan)[0] for scan in dataset])
     motions = some_motions(len(descriptors))
     for first in (0, len(descriptors) - 4):  # beyond the band, and within it
         window, new = slice(first, -1), -1
         expected = similarity.scores(descriptors[window], descriptors[new])
-        found = shared.scores(numbers[window], numbers[new])
-        assert found.tobytes() == expected.tobytes(), "shared scores are other bits"
+        scores, _ = shared.scores(numbers[window], numbers[new])
+        assert scores.tobytes() == expected.tobytes(), "shared scores are other bits"
         expected = similarity.scores_under(descriptors[window], descriptors[new], motions[window])
-        found = shared.scores_under(numbers[window], numbers[new], motions[window])
-        assert found.tobytes() == expected.tobytes(), "shared scores under a guess: other bits"
+        scores, _ = shared.scores(numbers[window], numbers[new], motions[window])
+        assert scores.tobytes() == expected.tobytes(), "shared scores under a guess: other bits"

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from rbtm_bench.backends.base import Backend, Prepared
+from rbtm_bench.backends.base import Prepared
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.geometry import inverse
-from rbtm_bench.core.types import Array, Node, Scan
+from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.datasets.base import Dataset
+
+Register = Callable[[Prepared, Prepared, Array], RegistrationResult]
+"""Registers source to target from a guess (4, 4); raises ``BackendError`` if it cannot be done."""
 
 
 class Guess(ABC):
@@ -31,8 +34,9 @@ class Guess(ABC):
                 f"({type(dataset).__name__}) does not have: use guess=constant_velocity"
             )
 
-    def observe(self, scan: Scan, prepared: Prepared | None, backend: Backend) -> float:
-        """See every scan once, before its first ``predict``; returns the seconds it took."""
+    def observe(self, scan: Scan, prepared: Prepared | None, register: Register) -> float:
+        """See every scan once, before its first ``predict``; returns the seconds it took.
+        ``register`` is the run's own backend, for a guess that registers scans itself."""
         return 0.0
 
     @abstractmethod

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rbtm_bench.backends.base import Backend, Prepared
+from rbtm_bench.backends.base import Prepared
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.trajectory import orthonormalised
 from rbtm_bench.core.types import Array, Node, Scan
-from rbtm_bench.guess.base import IDENTITY, Guess
+from rbtm_bench.guess.base import IDENTITY, Guess, Register
 
 
 class Chain(Guess):
@@ -32,7 +32,7 @@ class Chain(Guess):
         self._motion = IDENTITY
         self._newest = -1
 
-    def observe(self, scan: Scan, prepared: Prepared | None, backend: Backend) -> float:
+    def observe(self, scan: Scan, prepared: Prepared | None, register: Register) -> float:
         """Extend the chain by a scan; returns the seconds that it took (when it was new)."""
         if scan.index in self._poses:
             return self._seconds[scan.index]
@@ -43,7 +43,7 @@ class Chain(Guess):
             model, target = self._last
             guess = inverse(self._poses[model]) @ pose
             try:
-                result = backend.register(prepared, target, guess)
+                result = register(prepared, target, guess)
                 seconds = result.seconds
                 pose = orthonormalised(self._poses[model] @ result.T_target_source)
             except BackendError:

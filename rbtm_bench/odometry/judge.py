@@ -1,22 +1,25 @@
 """What every registration is judged by, the same for all backends: fitness, inlier RMSE, and
-whether the matched surfaces hold the motion at all."""
+whether the matched surfaces hold the motion at all.
+
+The loop, and whoever else registers a pair, calls ``register``: the backend's answer, judged.
+"""
 
 from __future__ import annotations
 
 import math
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from rbtm_bench.backends.neighbours_2d import Sorted2D, nearest_2d, sorted_2d
+from rbtm_bench.backends.base import Alignment, Backend, Prepared
+from rbtm_bench.backends.neighbours_2d import Sorted2D, nearest_2d, sorted_2d, tangent_at
 from rbtm_bench.core.geometry import transform
 from rbtm_bench.core.kernels import kernel
-from rbtm_bench.core.types import Array, Localizability
+from rbtm_bench.core.types import Array, Localizability, RegistrationResult
 
-if TYPE_CHECKING:
-    from rbtm_bench.backends.base import Prepared
-
+MIN_INLIERS = 3
+"""With fewer inliers a plane motion is not determined: never called converged."""
 MIN_SURFACE = 3
 """Fewer target points than this, the matched one included, have no normal."""
 MAX_MATCHES = 200
@@ -32,6 +35,39 @@ class Evaluation(NamedTuple):
     inlier_rmse: float
     inliers: int
     localizability: Localizability | None
+
+
+def register(
+    backend: Backend, source: Prepared, target: Prepared, T_target_source: Array
+) -> RegistrationResult:
+    """The backend's registration from the initial guess ``T_target_source`` (4, 4), judged.
+
+    ``converged`` is False, whatever the library says, when fewer than 3 source points lie within
+    the backend's ``max_correspondence_distance`` of the target. Raises as ``Backend.register``.
+    """
+    compile_kernels()
+    alignment = backend.register(source, target, T_target_source)
+    return judged(alignment, source, target, backend.max_correspondence_distance)
+
+
+def judged(
+    alignment: Alignment, source: Prepared, target: Prepared, radius: float
+) -> RegistrationResult:
+    """What a library says of a registration, and what we find within ``radius`` m."""
+    evaluation = evaluate(source, target, alignment.T_target_source, radius)
+    return RegistrationResult(
+        T_target_source=alignment.T_target_source,
+        converged=False if evaluation.inliers < MIN_INLIERS else alignment.converged,
+        fitness=evaluation.fitness,
+        inlier_rmse=evaluation.inlier_rmse,
+        inliers=evaluation.inliers,
+        iterations=alignment.iterations,
+        seconds=alignment.seconds,
+        information=alignment.information,
+        library_fitness=alignment.library_fitness,
+        library_rmse=alignment.library_rmse,
+        localizability=evaluation.localizability,
+    )
 
 
 @cache
@@ -121,29 +157,6 @@ def _planar_sums(
     H[2, 2] /= lever * lever
     H[1, 0], H[2, 0], H[2, 1] = H[0, 1], H[0, 2], H[1, 2]
     return count, squares, H, lever, used
-
-
-@kernel
-def tangent_at(points: Sorted2D, place: int, radius: float) -> tuple[int, float]:
-    """How many points lie within ``radius`` of one of them, itself included, and the direction
-    (rad) of their larger spread."""
-    xy, axis = points.xy, points.axis
-    x, y = xy[place, 0], xy[place, 1]
-    n, mx, my, xx, xy_, yy = 0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for direction in (-1, 1):
-        k = place if direction < 0 else place + 1
-        while 0 <= k < len(xy) and abs(xy[k, axis] - xy[place, axis]) < radius:
-            dx, dy = xy[k, 0] - x, xy[k, 1] - y
-            if dx * dx + dy * dy < radius * radius:
-                n += 1
-                mx += dx
-                my += dy
-                xx += dx * dx
-                xy_ += dx * dy
-                yy += dy * dy
-            k += direction
-    a, b, d = xx - mx * mx / n, xy_ - mx * my / n, yy - my * my / n
-    return n, 0.5 * np.arctan2(2.0 * b, a - d)
 
 
 def _spread(count: int) -> slice:

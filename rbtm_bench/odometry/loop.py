@@ -5,66 +5,55 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from rbtm_bench.backends.base import Backend, Prepared
-from rbtm_bench.check.base import Check
+from rbtm_bench.backends.base import Prepared
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.trajectory import PoseChain
 from rbtm_bench.core.types import Array, Edge, Node, RegistrationResult, Scan, Step, StepRecord
 from rbtm_bench.core.uncertainty import chained, edge_covariance
-from rbtm_bench.guess.base import Guess
 from rbtm_bench.odometry.degeneracy import remap, unseen
+from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.selection.base import Selection, Selector, Trial
 from rbtm_bench.selection.window import Window
-from rbtm_bench.similarity.base import Descriptor, Similarity
-from rbtm_bench.target.base import Target
+from rbtm_bench.similarity.base import Descriptor
 
 
-@dataclass(frozen=True)
-class Method:
-    """What is compared: a backend, a way to choose the model scan, and what goes with them."""
-
-    backend: Backend
-    similarity: Similarity
-    selector: Selector
-    guess: Guess
-    check: Check
-    target: Target
-    guess_along_degenerate: float | None = None
-    """Keep the guess along directions of less localizability than this; None: never."""
-
-
-def odometry(scans: Iterable[Scan], method: Method) -> Iterator[Step]:
+def odometry(scans: Iterable[Scan], method: Method, work: Work | None = None) -> Iterator[Step]:
     """Register a stream of scans, one at a time, and yield what became of each.
 
     The first scan is the origin. Memory is bounded by the selector's window (and the poses).
     A scan for which no registration is accepted keeps its predicted pose and says so. Ground truth
     is taken off the scans before anything sees them, but for a selector that says it needs it.
+    ``work`` does what the plug-ins are asked for; None: by them alone, every time.
     """
+    work = work or Work(method)
     window = method.selector.window()
     chain = PoseChain()
     recent: deque[Node] = deque(maxlen=2)
     left_out = 0  # scans in a row that matched nothing and are no model scans
     for scan in scans:
-        scan = _without_truth(scan, method.selector)
+        if method.selector.needs_truth:
+            method.selector.see(scan)
+        scan = scan.without_truth()
         record = StepRecord(scan.index, scan.stamp)
-        prepared = _prepare(scan, method.backend, record)
-        descriptor = _describe(scan, method, record)
-        record.t_guess_s = method.guess.observe(scan, prepared, method.backend)
+        prepared = _prepare(scan, work, record)
+        descriptor = None
+        if method.selector.needs_scores:
+            descriptor, record.t_describe_s = work.describe(scan)
+        record.t_guess_s = method.guess.observe(scan, prepared, work.register)
 
         if not recent:
             edges: tuple[Edge, ...] = ()
             T_world_scan = chain.start(scan.index)
             lost = False
         else:
-            selection = _select(scan, window, recent, descriptor, method, record)
-            edge = _register(scan, prepared, window, recent, selection, method, record)
+            selection = _select(scan, window, recent, descriptor, work, record)
+            edge = _register(scan, prepared, window, recent, selection, work, record)
             if edge is None and left_out >= method.selector.patience:
-                edge = _restart(scan, prepared, window, recent, descriptor, method, record)
-            edges = (edge or _predict(scan, recent, method),)
+                edge = _restart(scan, prepared, window, recent, descriptor, work, record)
+            edges = (edge or _predict(scan, recent, work),)
             T_world_scan = chain.add(edges[0])
             lost = edge is None and _is_left_out(record, window, method.selector)
 
@@ -86,28 +75,14 @@ def odometry(scans: Iterable[Scan], method: Method) -> Iterator[Step]:
         yield Step(record, edges, T_world_scan)
 
 
-def _without_truth(scan: Scan, selector: Selector) -> Scan:
-    """The scan as everything may see it. Only a selector that says so is shown its truth."""
-    if selector.needs_truth:
-        selector.see(scan)
-    return scan.without_truth()
-
-
-def _prepare(scan: Scan, backend: Backend, record: StepRecord) -> Prepared | None:
+def _prepare(scan: Scan, work: Work, record: StepRecord) -> Prepared | None:
     """The prepared scan, or None (and why) if the backend cannot use it."""
-    with _timed(record, "t_prepare_s", backend):
-        try:
-            return backend.prepare(scan)
-        except BackendError as error:
-            record.status, record.reason = "unusable", str(error)
-            return None
-
-
-def _describe(scan: Scan, method: Method, record: StepRecord) -> Descriptor | None:
-    if not method.selector.needs_scores:
+    try:
+        prepared, record.t_prepare_s = work.prepare(scan)
+    except BackendError as error:
+        record.status, record.reason = "unusable", str(error)
         return None
-    with _timed(record, "t_describe_s", method.similarity):
-        return method.similarity.describe(scan)
+    return prepared
 
 
 def _select(
@@ -115,24 +90,22 @@ def _select(
     window: Window,
     recent: Sequence[Node],
     descriptor: Descriptor | None,
-    method: Method,
+    work: Work,
     record: StepRecord,
 ) -> Selection:
     """The selector's ordered candidates for the scan."""
     if len(window) == 0:
         return Selection(())
+    scores = np.full(len(window), np.nan)
     motions: Array | None = None
-    if descriptor is not None and method.similarity.needs_guess:
+    if descriptor is not None and work.method.similarity.needs_guess:
         with _timed(record, "t_guess_s"):
-            motions = np.stack([method.guess.predict(n, scan, recent) for n in window.nodes])
-    with _timed(record, "t_select_s", method.similarity):
-        if descriptor is None:
-            scores = np.full(len(window), np.nan)
-        elif motions is None:
-            scores = method.similarity.scores(window.descriptors, descriptor)
-        else:
-            scores = method.similarity.scores_under(window.descriptors, descriptor, motions)
-        selection = method.selector.choose(scan.index, window, scores)
+            motions = np.stack([work.predict(n, scan, recent) for n in window.nodes])
+    if descriptor is not None:
+        scores, seconds = work.scores(window.descriptors, descriptor, motions)
+        record.t_select_s += seconds
+    with _timed(record, "t_select_s"):
+        selection = work.method.selector.choose(scan.index, window, scores)
     record.candidates += sum(not c.is_fallback for c in selection.candidates)
     record.undefined_scores += selection.undefined
     return selection
@@ -144,20 +117,21 @@ def _register(
     window: Window,
     recent: Sequence[Node],
     selection: Selection,
-    method: Method,
+    work: Work,
     record: StepRecord,
 ) -> Edge | None:
     """Try the candidates in order; the first registration that passes the check is the edge, or,
     for a selector that tries all, the one that it picks of those."""
     if prepared is None:
         return None
+    method = work.method
     record.status = "predicted" if selection.candidates else "skipped"
     if len(window) == 0:
         record.status, record.reason = "predicted", "no model scan yet"
     accepted: list[Trial] = []
     for candidate in selection.candidates:
         model = window.node(candidate.model)
-        outcome = _attempt(scan, prepared, model, window, recent, method, record)
+        outcome = _attempt(scan, prepared, model, window, recent, work, record)
         if isinstance(outcome, RegistrationResult):
             accepted.append(Trial(candidate, model, outcome))
             if not method.selector.tries_all:
@@ -180,17 +154,18 @@ def _attempt(
     model: Node,
     window: Window,
     recent: Sequence[Node],
-    method: Method,
+    work: Work,
     record: StepRecord,
 ) -> RegistrationResult | str:
     """The registration to one candidate, or why it is not believed."""
-    T_guess = method.guess.predict(model, scan, recent)
+    method = work.method
+    T_guess = work.predict(model, scan, recent)
     try:
         with _timed(record, "t_prepare_s"):
             target = method.target.build(model.scan, window, method.backend)
         record.registrations += 1
         started = time.perf_counter()
-        result = method.backend.register(prepared, target, T_guess)
+        result = work.register(prepared, target, T_guess)
         if method.guess_along_degenerate is not None:
             record.kept_guess = unseen(result, method.guess_along_degenerate)
             result = remap(result, T_guess, method.guess_along_degenerate)
@@ -209,7 +184,7 @@ def _restart(
     window: Window,
     recent: Sequence[Node],
     descriptor: Descriptor | None,
-    method: Method,
+    work: Work,
     record: StepRecord,
 ) -> Edge | None:
     """Try the scan before, alone, although it matched nothing itself.
@@ -222,10 +197,10 @@ def _restart(
         return None
     alone = Window(1)
     alone.push(last)
-    selection = _select(scan, alone, recent, descriptor, method, record)
+    selection = _select(scan, alone, recent, descriptor, work, record)
     if not selection.candidates:
         return None
-    edge = _register(scan, prepared, alone, recent, selection, method, record)
+    edge = _register(scan, prepared, alone, recent, selection, work, record)
     if edge is not None:
         window.push(last, always=True)
         record.restart, record.reason = True, f"restart: {record.reason}"
@@ -239,11 +214,11 @@ def _is_left_out(record: StepRecord, window: Window, selector: Selector) -> bool
     return record.status == "skipped" or selector.fallback == "skip"
 
 
-def _predict(scan: Scan, recent: Sequence[Node], method: Method) -> Edge:
+def _predict(scan: Scan, recent: Sequence[Node], work: Work) -> Edge:
     """The motion since the previous scan as the guess has it: no measurement behind it."""
-    T = method.guess.predict(recent[-1], scan, recent)
+    T = work.predict(recent[-1], scan, recent)
     covariance = None
-    if method.selector.covariance_from is not None:
+    if work.method.selector.covariance_from is not None:
         covariance = edge_covariance(None, scan.planar)
     return Edge(recent[-1].scan, scan.index, T, kind="predicted", covariance=covariance)
 
@@ -292,22 +267,16 @@ def _record(record: StepRecord, chosen: Trial, reason: str, threshold: float | N
 
 
 class _timed:  # noqa: N801 (reads as a word in a with statement)
-    """Add the block's wall time to a stage of the record, and what a shared answer saved."""
+    """Add the block's wall time to a stage of the record."""
 
-    __slots__ = ("_plugin", "_record", "_stage", "_started")
+    __slots__ = ("_record", "_stage", "_started")
 
-    def __init__(
-        self, record: StepRecord, stage: str, plugin: Backend | Similarity | None = None
-    ) -> None:
-        self._record, self._stage, self._plugin = record, stage, plugin
+    def __init__(self, record: StepRecord, stage: str) -> None:
+        self._record, self._stage = record, stage
 
     def __enter__(self) -> None:
-        if self._plugin is not None:
-            self._plugin.saved_seconds = 0.0
         self._started = time.perf_counter()
 
     def __exit__(self, *_: object) -> None:
         spent = time.perf_counter() - self._started
-        if self._plugin is not None:
-            spent += self._plugin.saved_seconds
         setattr(self._record, self._stage, getattr(self._record, self._stage) + spent)

@@ -28,7 +28,8 @@ from rbtm_bench.metrics.cost import peak_memory_mb
 from rbtm_bench.metrics.relation_errors import FILE as RELATIONS
 from rbtm_bench.metrics.relations import RelationError
 from rbtm_bench.metrics.summary import summarise_steps
-from rbtm_bench.odometry.loop import Method, odometry
+from rbtm_bench.odometry.loop import odometry
+from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.odometry.system import system_odometry
 from rbtm_bench.runs import provenance
 from rbtm_bench.runs.pinning import pin_to_free_core
@@ -44,11 +45,13 @@ SIMILARITY_PICTURE = 181
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """A run's plug-ins, instantiated. A system is a method by itself."""
+    """A run's plug-ins, instantiated. A system is a method by itself. ``work`` is None where the
+    plug-ins do all of it themselves."""
 
     dataset: Dataset
     method: Method | System
     metrics: tuple[Metric, ...]
+    work: Work | None = None
 
 
 class Bench(Protocol):
@@ -207,7 +210,7 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
     records: list[StepRecord] = []
     poses: list[Array] = []
     truth: list[Array] = []
-    for scan, step in with_scans(dataset, parts.method):
+    for scan, step in with_scans(dataset, parts.method, parts.work):
         records.append(step.record)
         poses.append(step.T_world_scan)
         truth.append(np.full((4, 4), np.nan) if scan.ground_truth is None else scan.ground_truth)
@@ -232,7 +235,7 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
     return seconds
 
 
-def with_scans(dataset: Dataset, method: Method | System) -> Any:
+def with_scans(dataset: Dataset, method: Method | System, work: Work | None = None) -> Any:
     """Pairs (scan, step): the loop reads one scan and answers with one step."""
     current: list[Any] = []
 
@@ -244,7 +247,7 @@ def with_scans(dataset: Dataset, method: Method | System) -> Any:
     if isinstance(method, System):
         steps = system_odometry(stream(), method)
     else:
-        steps = odometry(stream(), method)
+        steps = odometry(stream(), method, work)
     for step in steps:
         yield current[0], step
 

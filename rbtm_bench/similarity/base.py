@@ -32,8 +32,6 @@ class Similarity(ABC):
     """Names of the Python packages that must be importable."""
     needs_guess: bool = False
     """Whether ``scores_under`` reads the motions."""
-    saved_seconds: float = 0.0
-    """What the last answer would have taken, had it not been shared; plug-ins leave it alone."""
 
     def check(self, dataset: Dataset) -> None:  # noqa: B027 (optional to override)
         """Raise ``ConfigError`` if this similarity cannot read the data set."""

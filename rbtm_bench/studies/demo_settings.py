@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rbtm_bench.cli.main import main as rbtm_bench
+from rbtm_bench.cli.commands import main as rbtm_bench
 from rbtm_bench.report import frame
 
 BACKENDS = "open3d_p2p,open3d_p2plane,open3d_gicp,kiss_icp"

@@ -31,6 +31,7 @@ from rbtm_bench.core.files import make_folder, write_atomically
 from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.engine.progress import bar
+from rbtm_bench.odometry import judge
 from rbtm_bench.odometry.judge import evaluate
 from rbtm_bench.runs import experiment, settings
 from rbtm_bench.runs.pinning import pin_to_free_core
@@ -96,18 +97,19 @@ def measure(
     for target_scan, source_scan, guess in scans:
         backend.prepare(target_scan)
         target, source = backend.prepare(target_scan), backend.prepare(source_scan)
-        backend.register(source, target, guess)
+        judge.register(backend, source, target, guess)
         preparing.append(_median(lambda s=source_scan: backend.prepare(s), repeats))
         theirs, mine = [], []
         for _ in range(repeats):  # in turn, so that both see the same machine
             theirs.append(_timed(lambda t=target, s=source, g=guess: raw(s, t, g)))
-            mine.append(_timed(lambda t=target, s=source, g=guess: backend.register(s, t, g)))
+            mine.append(
+                _timed(lambda t=target, s=source, g=guess: judge.register(backend, s, t, g))
+            )
         calling.append(statistics.median(theirs))
         registering.append(statistics.median(mine))
-        found = backend.register(source, target, guess)
+        found = judge.register(backend, source, target, guess)
         T, radius = found.T_target_source, backend.max_correspondence_distance
-        judge = functools.partial(evaluate, source, target, T, radius)
-        judging.append(_median(judge, repeats))
+        judging.append(_median(functools.partial(evaluate, source, target, T, radius), repeats))
         iterations += [] if found.iterations is None else [found.iterations]
         points.append(len(source.points))
     raw_s, wrap_s = (

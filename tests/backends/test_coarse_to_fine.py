@@ -13,6 +13,7 @@ from rbtm_bench.contract.scene import WORLDS
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.geometry import inverse, se2, translation_norm
 from rbtm_bench.core.types import RegistrationResult
+from rbtm_bench.odometry import judge
 
 METHODS: list[type[Open3DICP]] = [Open3DPointToPoint, Open3DPointToPlane, Open3DGeneralizedICP]
 TRUTH = se2(0.35, 0.2, 0.0)
@@ -21,7 +22,7 @@ TRUTH = se2(0.35, 0.2, 0.0)
 def register(method: Open3DICP) -> RegistrationResult:
     world = WORLDS["2d"]
     source, target = world.scan(world.start @ TRUTH, 1, 0.005), world.scan(world.start, 2, 0.005)
-    return method.register(method.prepare(source), method.prepare(target), np.eye(4))
+    return judge.register(method, method.prepare(source), method.prepare(target), np.eye(4))
 
 
 def error(result: RegistrationResult) -> float:

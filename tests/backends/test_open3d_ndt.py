@@ -13,11 +13,12 @@ from rbtm_bench.contract.scene import WORLDS, World, cloud
 from rbtm_bench.core.errors import BackendError, ConfigError
 from rbtm_bench.core.geometry import inverse, rotation_angle, se2, translation_norm
 from rbtm_bench.core.types import Array, RegistrationResult, Scan
+from rbtm_bench.odometry import judge
 from rbtm_bench.runs.settings import compose_settings
 
 
 def register(method: Open3DNDT, source: Scan, target: Scan, guess: Array) -> RegistrationResult:
-    return method.register(method.prepare(source), method.prepare(target), guess)
+    return judge.register(method, method.prepare(source), method.prepare(target), guess)
 
 
 def off(T: Array, truth: Array) -> tuple[float, float]:
@@ -64,7 +65,10 @@ def test_a_few_points_find_their_place_among_cells(seed: int) -> None:
     source = cloud(world.start @ truth, 2 * seed, 0.02, 300)
     target = cloud(world.start, 2 * seed + 1, 0.02, 3000)
     cells, points = (
-        off(m.register(m.prepare(source), m.prepare(target), np.eye(4)).T_target_source, truth)[0]
+        off(
+            judge.register(m, m.prepare(source), m.prepare(target), np.eye(4)).T_target_source,
+            truth,
+        )[0]
         for m in (Open3DNDT(), Open3DPointToPoint(1.0))
     )
     assert cells < 0.01 and cells < 0.5 * points

@@ -13,6 +13,7 @@ from rbtm_bench.backends.open3d_symmetric import Open3DSymmetric
 from rbtm_bench.contract.scene import WORLDS, World, rotation
 from rbtm_bench.core.geometry import inverse, rotation_angle, se2, se3, transform, translation_norm
 from rbtm_bench.core.types import Array, Scan
+from rbtm_bench.odometry import judge
 
 
 def off(T: Array, truth: Array) -> tuple[float, float]:
@@ -22,7 +23,9 @@ def off(T: Array, truth: Array) -> tuple[float, float]:
 
 
 def register(method: Open3DPointToPlane, source: Scan, target: Scan, guess: Array) -> Array:
-    return method.register(method.prepare(source), method.prepare(target), guess).T_target_source
+    return judge.register(
+        method, method.prepare(source), method.prepare(target), guess
+    ).T_target_source
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])

@@ -22,6 +22,7 @@ from rbtm_bench.core.types import Array, RegistrationResult, Scan
 from rbtm_bench.datasets.base import beam_points
 from rbtm_bench.datasets.carmen import Carmen
 from rbtm_bench.datasets.corridor import Corridor
+from rbtm_bench.odometry import judge
 
 START, TRUTH = se2(0.3, -0.2, 0.2), se2(0.1, 0.05, 0.05)
 PLACES = {"paper": 0.05, "cluttered": 0.15, "l_turn": 0.15}
@@ -46,7 +47,7 @@ def p2p(distance: float = 0.3, **settings: Any) -> PointToLineICP:
 
 
 def register(method: Backend, source: Scan, target: Scan, guess: Array) -> RegistrationResult:
-    return method.register(method.prepare(source), method.prepare(target), guess)
+    return judge.register(method, method.prepare(source), method.prepare(target), guess)
 
 
 def errors(method: Backend, pairs: list[Pair]) -> tuple[Array, Array, list[RegistrationResult]]:
@@ -196,7 +197,9 @@ def test_a_target_of_scans_that_do_not_quite_agree() -> None:
         wrong = place @ se2(*(random.uniform(-0.02, 0.02, 2)), 0.003 * random.standard_normal())
         parts.append((method.prepare(planar_scan(START @ place, i, 0.01)), wrong))
     merged = method.merge(parts)
-    result = method.register(method.prepare(planar_scan(START @ TRUTH, 9, 0.01)), merged, np.eye(4))
+    result = judge.register(
+        method, method.prepare(planar_scan(START @ TRUTH, 9, 0.01)), merged, np.eye(4)
+    )
     off = inverse(TRUTH) @ result.T_target_source
     assert translation_norm(off) < 0.015 and np.degrees(rotation_angle(off)) < 0.3
     assert result.converged is True
@@ -211,7 +214,7 @@ def test_a_pose_that_comes_back_ends_it() -> None:
     xy = source.native.points.xy
     pose, ending, iterations, _, error = iterate(xy, target.native, guess, method.settings)
     assert ending == CYCLED and iterations < 20
-    result = method.register(source, target, np.eye(4))
+    result = judge.register(method, source, target, np.eye(4))
     assert result.converged is True and result.iterations == iterations
     assert translation_norm(inverse(TRUTH) @ result.T_target_source) < 0.01
     # one more iteration leads away from it, and to no smaller error

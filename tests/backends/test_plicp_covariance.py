@@ -12,6 +12,7 @@ from rbtm_bench.contract.scene import cast, planar_scan
 from rbtm_bench.core.geometry import inverse, se2, yaw
 from rbtm_bench.core.types import Array, RegistrationResult, Scan
 from rbtm_bench.datasets.base import beam_points
+from rbtm_bench.odometry import judge
 
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
 METRICS = ("point_to_line", "point_to_point")
@@ -29,7 +30,7 @@ def backend(metric: str, **settings: Any) -> PointToLineICP:
 
 
 def register(method: PointToLineICP, source: Scan, target: Scan, T: Array) -> RegistrationResult:
-    return method.register(method.prepare(source), method.prepare(target), T)
+    return judge.register(method, method.prepare(source), method.prepare(target), T)
 
 
 def corridor_scan(T_world_sensor: Array, index: int, noise: float) -> Scan:

@@ -15,6 +15,7 @@ from rbtm_bench.backends.open3d_p2plane import Open3DPointToPlane
 from rbtm_bench.contract.scene import WORLDS
 from rbtm_bench.core.geometry import se2, transform
 from rbtm_bench.core.types import Array, Scan
+from rbtm_bench.odometry import judge
 
 METHODS: list[type[Open3DICP]] = [Open3DPointToPoint, Open3DPointToPlane, Open3DGeneralizedICP]
 SCALES = {"huber": 0.05, "cauchy": 0.05, "geman_mcclure": 0.05, "tukey": 0.1}
@@ -37,7 +38,7 @@ def pair() -> tuple[Scan, Scan, Scan]:
 def shift(method: Open3DICP, source: Scan, target: Scan, points: Array) -> float:
     """How far, in m on average, the registration puts points from where they belong."""
     prepared, model = method.prepare(source), method.prepare(target)
-    T = method.register(prepared, model, np.eye(4)).T_target_source
+    T = judge.register(method, prepared, model, np.eye(4)).T_target_source
     off = transform(T, points) - transform(TRUTH, points)
     return float(np.linalg.norm(off, axis=1).mean())
 
@@ -80,7 +81,7 @@ def test_point_to_point_with_a_wide_kernel_is_plain_point_to_point(
         Open3DPointToPoint(0.5, kernel=k, kernel_scale=1e4, **stop)  # type: ignore[arg-type]
         for k in ("none", kernel)
     )
-    T = [b.register(b.prepare(clean), b.prepare(target), np.eye(4)) for b in (plain, wide)]
+    T = [judge.register(b, b.prepare(clean), b.prepare(target), np.eye(4)) for b in (plain, wide)]
     np.testing.assert_allclose(T[1].T_target_source, T[0].T_target_source, atol=1e-9)
 
 

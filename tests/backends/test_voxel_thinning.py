@@ -10,6 +10,7 @@ from rbtm_bench.contract.scene import WORLDS
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import se2
 from rbtm_bench.core.types import Array, Scan
+from rbtm_bench.odometry import judge
 
 
 def scan(points: Array, planar: bool = False) -> Scan:
@@ -53,7 +54,7 @@ def test_too_few_points_after_thinning_are_an_error() -> None:
 def test_fitness_counts_thinned_points() -> None:
     backend = NoRegistration(0.3, voxel_size=0.5)
     prepared = backend.prepare(WORLDS["3d"].scan(np.eye(4), 1, 0.01))
-    result = backend.register(prepared, prepared, np.eye(4))
+    result = judge.register(backend, prepared, prepared, np.eye(4))
     assert result.inliers == len(prepared.points)
 
 

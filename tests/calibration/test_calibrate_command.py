@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 import yaml
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 
 WORDS = [
     "calibrate",

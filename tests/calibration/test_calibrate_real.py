@@ -11,7 +11,7 @@ import pytest
 from rbtm_bench.calibration.plan import Plan
 from rbtm_bench.calibration.sampling import GAP, REVISIT, draw
 from rbtm_bench.calibration.track import track_of
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.geometry import translation_norm
 from rbtm_bench.datasets.carmen import Carmen
 from rbtm_bench.datasets.kitti import Kitti

@@ -17,11 +17,11 @@ def test_the_page_is_up_to_date(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_stale_page_is_found(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(backend_page, "backend_page.PAGE", tmp_path / "backends.md")
+    monkeypatch.setattr(backend_page, "PAGE", tmp_path / "backends.md")
     assert backend_page.main(["--check"]) == 1
     assert backend_page.main([]) == 0 and backend_page.main(["--check"]) == 0
-    text = backend_page.backend_page.PAGE.read_text()
-    backend_page.backend_page.PAGE.write_text(text.replace("0.9", "0.8"))
+    text = backend_page.PAGE.read_text()
+    backend_page.PAGE.write_text(text.replace("0.9", "0.8"))
     assert backend_page.main(["--check"]) == 1
     assert "run scripts/make_backend_page.py" in capsys.readouterr().out
     assert backend_page.main(["--nonsense"]) == 2

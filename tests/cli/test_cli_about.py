@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rbtm_bench.cli import about
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.runs.settings import PLUGIN_GROUPS, config_dir, members
 
 MINE = '''"""A matcher of somebody else.

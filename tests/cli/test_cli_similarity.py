@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.plots import scores as pictures
 from rbtm_bench.plots import style
 from rbtm_bench.similarity.scorematrix import Scores

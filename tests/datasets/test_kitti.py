@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError, DataError, RbtmBenchError
 from rbtm_bench.core.geometry import inverse, se2, transform, translation_norm
 from rbtm_bench.core.trajectory import Trajectory

@@ -12,7 +12,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.trajectory import Trajectory
 
 SIMULATE = Path(__file__).parents[2] / "scripts" / "simulate_clouds.py"

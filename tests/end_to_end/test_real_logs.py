@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.trajectory import Trajectory
 
 SCANS = 300

@@ -302,7 +302,7 @@ def test_ctrl_c_is_for_the_parent(supervisor: Supervisor) -> None:
 
 def test_a_parent_never_loads_a_backend_library(tmp_path: Path) -> None:
     code = (
-        "import sys; from rbtm_bench.cli.main import main; "
+        "import sys; from rbtm_bench.cli.commands import main; "
         "code = main(['compare', 'backend=open3d_p2p', 'selector=previous', 'dataset.scans=12', "
         f"'out={tmp_path / 'out'}', '--jobs', '1']); "
         "print(code, 'open3d' in sys.modules, file=sys.stderr)"

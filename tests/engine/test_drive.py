@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.engine import drive
 from rbtm_bench.runs.grid import make_points

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.geometry import se2
 from rbtm_bench.core.trajectory import Trajectory

@@ -18,11 +18,13 @@ from rbtm_bench.datasets.corridor import Corridor
 from rbtm_bench.guess.base import Guess
 from rbtm_bench.guess.constant_velocity import ConstantVelocity
 from rbtm_bench.guess.odometry import Odometry, OdometryChained
-from rbtm_bench.odometry.loop import Method, odometry
+from rbtm_bench.odometry.loop import odometry
+from rbtm_bench.odometry.method import Method
+from rbtm_bench.pairs.shared import KnownScores
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.runs import experiment
 from rbtm_bench.runs.settings import compose_settings
-from rbtm_bench.runs.workbench import SharedSimilarity, Workbench
+from rbtm_bench.runs.workbench import Workbench
 from rbtm_bench.selection.rbtm import Rbtm
 from rbtm_bench.similarity.base import Similarity
 from rbtm_bench.similarity.overlap import Overlap
@@ -117,9 +119,9 @@ def test_no_band_of_scores_that_nobody_asks_for() -> None:
         def band(self, descriptors: Array, window: int) -> Array:
             raise AssertionError("a band is of no use where every run has its own guess")
 
-    shared = SharedSimilarity(Thrifty(), Corridor(scans=5, beams=31))
+    shared = KnownScores(Thrifty(), Corridor(scans=5, beams=31))
     shared.widen(3)
-    assert shared.needs_guess
+    assert shared._band.shape == (5, 0)
 
 
 # --- whole runs on the paper's corridor
@@ -152,7 +154,7 @@ def test_serial_and_shared_runs_are_the_same_bits(name: str, tmp_path: Path) -> 
         other = compose_settings([*RUN, *RUNS[name], "selector.window=6"])
         for config in (settings, other, settings):
             again = bench.parts(config)
-            run = list(odometry(again.dataset, again.method))
+            run = list(odometry(again.dataset, again.method, again.work))
     np.testing.assert_equal(rows(run), rows(plain))
     for a, b in zip(run, plain, strict=True):
         assert a.T_world_scan.tobytes() == b.T_world_scan.tobytes()

@@ -11,6 +11,7 @@ from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import se2, se3
 from rbtm_bench.core.types import Array, Scan
+from rbtm_bench.odometry import judge
 from rbtm_bench.odometry.judge import evaluate
 
 LINE = np.column_stack([np.arange(10.0), np.zeros(10), np.zeros(10)])
@@ -73,7 +74,7 @@ def test_no_inliers_have_no_rmse() -> None:
 def test_too_few_inliers_are_never_converged(within: int, converged: bool) -> None:
     points = LINE[:6] + np.where(np.arange(6) < within, 0.0, 50.0)[:, None] * [0, 1, 0]
     backend = Fixed(Alignment(np.eye(4), converged=True))
-    result = backend.register(prepared(points), prepared(LINE), np.eye(4))
+    result = judge.register(backend, prepared(points), prepared(LINE), np.eye(4))
     assert result.inliers == within
     assert result.converged is converged
 
@@ -82,12 +83,12 @@ def test_too_few_inliers_are_never_converged(within: int, converged: bool) -> No
 def test_converged_is_python_s_own_bool(said: bool) -> None:
     numpy_s: Any = np.bool_(said)
     backend = Fixed(Alignment(np.eye(4), converged=numpy_s))
-    assert backend.register(prepared(LINE), prepared(LINE), np.eye(4)).converged is said
+    assert judge.register(backend, prepared(LINE), prepared(LINE), np.eye(4)).converged is said
 
 
 def test_a_library_s_own_words_are_kept_beside() -> None:
     said = Alignment(np.eye(4), None, 7, np.eye(6), 0.25, 0.5)
-    result = Fixed(said).register(prepared(LINE), prepared(LINE), np.eye(4))
+    result = judge.register(Fixed(said), prepared(LINE), prepared(LINE), np.eye(4))
     assert (result.library_fitness, result.library_rmse, result.iterations) == (0.25, 0.5, 7)
     assert (result.fitness, result.inlier_rmse) == (1.0, 0.0)
     assert result.converged is None
@@ -96,24 +97,24 @@ def test_a_library_s_own_words_are_kept_beside() -> None:
 
 def test_what_a_library_raises_becomes_a_backend_error() -> None:
     with pytest.raises(BackendError, match="Fixed: ValueError: singular"):
-        Fixed(ValueError("singular")).register(prepared(LINE), prepared(LINE), np.eye(4))
+        judge.register(Fixed(ValueError("singular")), prepared(LINE), prepared(LINE), np.eye(4))
 
 
 @pytest.mark.parametrize("answer", [np.full((4, 4), np.nan), 2 * np.eye(4), np.eye(3)])
 def test_an_answer_that_is_no_motion_is_an_error(answer: Array) -> None:
     with pytest.raises(BackendError, match="no rigid motion"):
-        Fixed(Alignment(answer)).register(prepared(LINE), prepared(LINE), np.eye(4))
+        judge.register(Fixed(Alignment(answer)), prepared(LINE), prepared(LINE), np.eye(4))
 
 
 def test_planar_answers_are_put_into_the_plane() -> None:
     tilt = se3(
         [1, 2, 0.1], [[1, 0, 0], [0, np.cos(0.1), -np.sin(0.1)], [0, np.sin(0.1), np.cos(0.1)]]
     )
-    both = Fixed(Alignment(tilt)).register(
-        prepared(LINE, planar=True), prepared(LINE, planar=True), np.eye(4)
+    both = judge.register(
+        Fixed(Alignment(tilt)), prepared(LINE, planar=True), prepared(LINE, planar=True), np.eye(4)
     )
     np.testing.assert_allclose(both.T_target_source, se2(1, 2, 0), atol=1e-15)
-    space = Fixed(Alignment(tilt)).register(prepared(LINE), prepared(LINE), np.eye(4))
+    space = judge.register(Fixed(Alignment(tilt)), prepared(LINE), prepared(LINE), np.eye(4))
     np.testing.assert_array_equal(space.T_target_source, tilt)
 
 

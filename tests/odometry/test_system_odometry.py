@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from rbtm_bench.backends.system import System, Tracker
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import BackendError, ConfigError
 from rbtm_bench.core.geometry import se2
 from rbtm_bench.core.types import Array, Scan, Step

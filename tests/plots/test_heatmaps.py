@@ -14,7 +14,7 @@ from matplotlib.text import Text
 from omegaconf import OmegaConf
 
 from rbtm_bench import plots
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.files import write_json, write_text
 from rbtm_bench.plots import heatmaps, labels, lines, style
 from rbtm_bench.plots.studies import studies

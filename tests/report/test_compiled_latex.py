@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from stat_helpers import make_seeds
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 
 PAGE = (
     "\\documentclass{{article}}\\usepackage{{booktabs}}\\usepackage[T1]{{fontenc}}"

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.report import frame
 

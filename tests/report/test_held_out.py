@@ -350,7 +350,7 @@ def test_relations_of_a_log_keep_their_clusters(tmp_path: Path) -> None:
     ],
 )
 def test_mistakes_on_the_command_line(seeds: Path, words: list[str], why: str, capsys: Any) -> None:
-    from rbtm_bench.cli.main import main
+    from rbtm_bench.cli.commands import main
 
     assert main(["table", str(seeds), *words]) == 2
     error = capsys.readouterr().err

@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.report import frame, tables
 from rbtm_bench.report.references import accompanied, judged, with_references
 

@@ -13,7 +13,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.report import tables
 

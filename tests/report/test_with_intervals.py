@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from stat_helpers import LONG, MEAN, MM, check_latex, make_log, make_run, make_seeds, shown
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.report import frame, tables, with_intervals
 
 

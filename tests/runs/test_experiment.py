@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError, RunError
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.datasets.corridor import Corridor

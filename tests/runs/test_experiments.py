@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.engine.hydra_sweep import Plan
 from rbtm_bench.runs.settings import compose_settings, config_dir

@@ -10,10 +10,11 @@ import pytest
 from step_helpers import TIMES, assert_same, steps
 
 from rbtm_bench.core.types import StepRecord
+from rbtm_bench.pairs.shared import Bounded
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.runs import experiment
 from rbtm_bench.runs.settings import compose_settings
-from rbtm_bench.runs.workbench import Bounded, Workbench
+from rbtm_bench.runs.workbench import Workbench
 
 SCANS = "dataset.scans=40"
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from loop_helpers import Perfect, Script, drive, method
 
 from rbtm_bench.core.geometry import se2
-from rbtm_bench.core.types import Node, RegistrationResult
+from rbtm_bench.core.types import Node
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.runs.experiment import instantiate
 from rbtm_bench.runs.settings import compose_settings
@@ -40,13 +42,11 @@ def test_order(std, scores, expected) -> None:
 class Informed(Perfect):
     """Perfect, with information: the edge (0, 1) is bad, all others good."""
 
-    def register(self, source, target, T_target_source):
-        found = super().register(source, target, T_target_source)
+    def align(self, source, target, T_target_source):
+        found = super().align(source, target, T_target_source)
         is_bad = (int(target.native), int(source.native)) == (0, 1)
         information = np.eye(6) * (25.0 if is_bad else 1e4)
-        return RegistrationResult(
-            found.T_target_source, True, 0.9, 0.01, 9, information=information
-        )
+        return replace(found, information=information)
 
 
 def test_a_chain_over_a_bad_edge_is_avoided() -> None:

@@ -13,7 +13,7 @@ from step_helpers import assert_same, steps
 
 from rbtm_bench.calibration.known_pairs import Pair, register_all
 from rbtm_bench.calibration.measuring import _Kept
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.contract.scene import TinyClouds
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.geometry import inverse, se2
@@ -23,10 +23,11 @@ from rbtm_bench.datasets.corridor import Corridor
 from rbtm_bench.guess.odometry import Odometry
 from rbtm_bench.metrics.ape import Ape
 from rbtm_bench.odometry.loop import odometry
+from rbtm_bench.pairs.shared import KnownScores
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.runs.experiment import check_fit, instantiate, similarity_matrix
 from rbtm_bench.runs.settings import compose_settings
-from rbtm_bench.runs.workbench import SharedSimilarity, Workbench
+from rbtm_bench.runs.workbench import Workbench
 from rbtm_bench.selection.base import Candidate, Trial
 from rbtm_bench.selection.oracle import Oracle, rms_displacement
 from rbtm_bench.selection.rbtm import Rbtm
@@ -105,8 +106,8 @@ class Skewed(Perfect):
         super().__init__(**settings)
         self.good = good
 
-    def register(self, source, target, T_target_source):
-        found = super().register(source, target, T_target_source)
+    def align(self, source, target, T_target_source):
+        found = super().align(source, target, T_target_source)
         off = se2(0.0 if target.native == self.good else 0.05, 0, 0)
         return replace(found, T_target_source=found.T_target_source @ off)
 
@@ -128,7 +129,8 @@ def test_every_candidate_is_registered_and_the_best_taken() -> None:
 def test_only_what_the_check_accepts() -> None:
     found = list(odometry(driven(4), method(Skewed(1, lost=[(1, 3)]), Oracle(9))))
     row = found[3].record
-    assert (row.model, row.registrations, row.rejected) == (0, 3, 1)
+    assert row.model in (0, 2)  # both are off by 50 mm
+    assert (row.registrations, row.rejected) == (3, 1)
     assert row.reason.endswith("best of 2")
     lost = [(m, 3) for m in range(3)]
     row = list(odometry(driven(4), method(Skewed(1, lost=lost), Oracle(9))))[3].record
@@ -184,7 +186,7 @@ def test_nor_does_a_similarity_outside_of_the_loop() -> None:
     """Shared by the runs of a grid, as a matrix, as a run's picture, in a calibration."""
     data, blind = Corridor(scans=3, beams=31), Blind()
     assert data[0].ground_truth is not None
-    SharedSimilarity(blind, data)
+    KnownScores(blind, data)
     assert blind.met == 3
     scorematrix.compute(data, blind, None, 100.0)
     assert blind.met == 7  # the first scan's twice, to know what it needs

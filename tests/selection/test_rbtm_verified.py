@@ -9,7 +9,7 @@ import pytest
 from loop_helpers import NAN, Perfect, Script, drive, method, rows
 
 from rbtm_bench.check.gated import Gated
-from rbtm_bench.cli.main import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.runs.experiment import instantiate

@@ -256,5 +256,5 @@ def test_areas_of_a_place_are_made_once(tmp_path: Path) -> None:
     made = (tmp_path / "calibrate" / "paper" / "roc.csv").stat().st_mtime_ns
     assert run()[0] == 0
     assert (tmp_path / "calibrate" / "paper" / "roc.csv").stat().st_mtime_ns == made
-    page = (tmp_path / "similarity_areas.md").read_text()
+    page = (tmp_path / "areas.md").read_text()
     assert "## Areas at equal gaps" in page and "simulated: paper" in page

@@ -147,7 +147,8 @@ def test_a_scan_meets_its_local_map() -> None:
     """The edge is to the model scan, whatever else is in the target."""
     from rbtm_bench.check.none import AcceptAll
     from rbtm_bench.guess.identity import Identity
-    from rbtm_bench.odometry.loop import Method, odometry
+    from rbtm_bench.odometry.loop import odometry
+    from rbtm_bench.odometry.method import Method
     from rbtm_bench.selection.oldest import Oldest
     from rbtm_bench.similarity.curvature import Curvature
 

@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from rbtm_bench.cli.main import guarded
+from rbtm_bench.cli.commands import guarded
 from rbtm_bench.core.files import write_text
 from rbtm_bench.engine import drive
 from rbtm_bench.runs.grid import Point

@@ -21,8 +21,8 @@ from typing import Any
 
 import pandas as pd
 
-from rbtm_bench.cli.main import guarded
-from rbtm_bench.cli.main import main as rbtm_bench
+from rbtm_bench.cli.commands import guarded
+from rbtm_bench.cli.commands import main as rbtm_bench
 from rbtm_bench.core.errors import DataError, RbtmBenchError
 from rbtm_bench.core.files import make_folder, write_text
 from rbtm_bench.engine.sweep_folder import versions

@@ -24,7 +24,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rbtm_bench.cli.main import guarded
+from rbtm_bench.cli.commands import guarded
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.files import make_folder, write_text
 from rbtm_bench.engine import drive
