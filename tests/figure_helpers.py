@@ -15,7 +15,7 @@ from rbtm_bench.core.geometry import se2
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array
 from rbtm_bench.plots import groups
-from rbtm_bench.report import frame
+from rbtm_bench.runs import stored
 
 N = 21
 TURN = np.stack([se2(min(i, 10) * 0.1, max(i - 10, 0) * 0.1, 0.0) for i in range(N)])
@@ -36,7 +36,7 @@ def make_run(
     data: dict[str, Any] | None = None,
     shared: dict[str, Any] | None = None,
     **settings: Any,
-) -> frame.Run:
+) -> stored.Run:
     """The files of a run that these figures are made of; without an error it failed."""
     path.mkdir(parents=True)
     config = {"seed": seed, "dataset": {"environment": "paper", "seed": seed, **(data or {})}}
@@ -52,7 +52,7 @@ def make_run(
         Trajectory(stamps, poses).write_tum(path / "trajectory.tum")
         if truth is not None:
             Trajectory(stamps, truth).write_tum(path / "ground_truth.tum")
-    return frame.read_run(path)
+    return stored.read_run(path)
 
 
 def scaled(factor: float) -> Array:
@@ -62,7 +62,7 @@ def scaled(factor: float) -> Array:
     return T
 
 
-def data_of(*runs: frame.Run) -> groups.Data:
+def data_of(*runs: stored.Run) -> groups.Data:
     (data,) = groups.data_sets(runs)
     return data
 

@@ -7,7 +7,6 @@ one that kills it is a row with a reason.
 
 from __future__ import annotations
 
-import json
 import math
 import statistics
 import time
@@ -25,6 +24,7 @@ from rbtm_bench.core.errors import BackendError, ConfigError, RunError
 from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.types import Array, RegistrationResult, Scan
 from rbtm_bench.engine.crew import ChildError, Supervisor
+from rbtm_bench.runs.identity import node_key
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -73,8 +73,8 @@ class _Kept:
         """Build what is not there yet."""
         from rbtm_bench.runs import experiment
 
-        data_key = json.dumps(data, sort_keys=True, default=str)
-        key = data_key + json.dumps(plugin, sort_keys=True, default=str)
+        data_key = node_key(data)
+        key = data_key + node_key(plugin)
         if key == self.key:
             return
         if not self.key.startswith(data_key):

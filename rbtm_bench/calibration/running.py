@@ -17,8 +17,9 @@ from rbtm_bench.calibration.sampling import GAP, Sample, draw
 from rbtm_bench.calibration.track import Track, track_of
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.types import Array
+from rbtm_bench.core.wording import shown
 from rbtm_bench.engine.crew import Supervisor
-from rbtm_bench.runs.settings import is_system, shown
+from rbtm_bench.runs.plugins import is_system
 
 if TYPE_CHECKING:
     import pandas as pd

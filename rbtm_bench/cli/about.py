@@ -34,7 +34,9 @@ SYSTEM_LIBRARIES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libidn2-0 libudev1"
 
 def list_plugins(words: list[str]) -> int:
     """``rbtm-bench list``: every plug-in, its parameters, and whether its library is there."""
-    from rbtm_bench.runs.settings import PLUGIN_GROUPS, member_nodes, shown
+    from rbtm_bench.core.wording import shown
+    from rbtm_bench.runs.declared import PLUGIN_GROUPS
+    from rbtm_bench.runs.settings import member_nodes
 
     parser = argparse.ArgumentParser(
         prog="rbtm-bench list",
@@ -63,7 +65,7 @@ def list_plugins(words: list[str]) -> int:
 
 def missing_library(group: str, name: str, node: dict[str, Any] | ConfigError) -> str | None:
     """Why a plug-in cannot be used here, or None."""
-    from rbtm_bench.runs.settings import locate
+    from rbtm_bench.runs.plugins import locate
 
     if isinstance(node, ConfigError):
         return str(node)
@@ -83,7 +85,7 @@ def _is_there(package: str) -> bool:
 
 
 def _about(group: str, name: str, node: dict[str, Any] | ConfigError) -> str:
-    from rbtm_bench.runs.settings import locate
+    from rbtm_bench.runs.plugins import locate
 
     why_not = missing_library(group, name, node)
     if why_not or isinstance(node, ConfigError):
@@ -140,7 +142,8 @@ def _check_libraries() -> list[str]:
 
 def _check_plugins() -> list[str]:
     try:
-        from rbtm_bench.runs.settings import PLUGIN_GROUPS, config_dir, member_nodes
+        from rbtm_bench.runs.declared import PLUGIN_GROUPS
+        from rbtm_bench.runs.settings import config_dir, member_nodes
     except ImportError as error:
         return _say(False, "plug-ins cannot be listed", f"first mend what is above ({error})")
     problems = _say(

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rbtm_bench.core.files import write_text
-from rbtm_bench.runs import settings
+from rbtm_bench.runs import plugins, settings
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "backends.md"
 HEAD = """\
@@ -82,7 +82,7 @@ def page() -> str:
     for name in settings.members("backend"):
         about, found = comments(settings.config_dir() / "backend" / f"{name}.yaml")
         node = settings.compose_settings([f"backend={name}"]).config["backend"]
-        cls = settings.locate(f"backend={name}", node["_target_"])
+        cls = plugins.locate(f"backend={name}", node["_target_"])
         rows.append(row(name, cls, about))
         sections.append(section(name, found))
     return HEAD + TABLE + "\n".join(rows) + "\n" + "".join(sections)

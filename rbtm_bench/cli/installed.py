@@ -5,7 +5,8 @@ from __future__ import annotations
 from functools import cache
 
 from rbtm_bench.cli.about import missing_library
-from rbtm_bench.runs.settings import is_system, locate, member_nodes
+from rbtm_bench.runs.plugins import is_system, locate
+from rbtm_bench.runs.settings import member_nodes
 
 
 @cache

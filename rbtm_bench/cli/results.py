@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.report import frame
-from rbtm_bench.report.frame import MethodRuns, Run
+from rbtm_bench.report.frame import MethodRuns
+from rbtm_bench.runs import stored
+from rbtm_bench.runs.stored import Run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -53,7 +55,7 @@ def table(words: list[str]) -> int:
     choice = "--held-out" if options.held_out else "--choose-on" if options.choose_on else ""
     if choice and (options.best or options.over_seeds):
         raise ConfigError(f"{choice}: goes with --intervals or --against, or alone")
-    runs = frame.find_runs(options.paths)
+    runs = stored.find_runs(options.paths)
     _warn(runs)
     chosen = _choose(runs, options) if choice else None
     if options.intervals or options.against:
@@ -238,7 +240,7 @@ def plot(words: list[str]) -> int:
     options = parser.parse_args(words)
     from rbtm_bench import plots
 
-    runs = frame.find_runs(options.paths)
+    runs = stored.find_runs(options.paths)
     _warn(runs)
     for file in plots.draw(runs, options.out or options.paths[0] / "figures"):
         print(file)

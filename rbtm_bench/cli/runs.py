@@ -237,7 +237,9 @@ def _sweep(asked: Asked, out: Path | None, resumed: bool) -> int:
     from rbtm_bench.cli import session
     from rbtm_bench.engine import hydra_sweep, sweep_folder
 
-    plan = hydra_sweep.Plan.of(asked.overrides, tuple(map(Path, asked.config_dirs)))
+    plan = hydra_sweep.SweepPlan.of(asked.overrides, tuple(map(Path, asked.config_dirs)))
+    for note in plan.notes:
+        print(note, file=sys.stderr)
     config = plan.settings[0].config
     out = out or Path(default_folder("sweeps"))
     if not resumed:
@@ -287,7 +289,8 @@ def _launch(words: list[str], out: Path) -> str | None:
 
 def _one_folder(word: str) -> Path | None:
     """The folder that ``out=DIR`` names, None for ``out=null``."""
-    from rbtm_bench.runs.settings import parsed, shown
+    from rbtm_bench.core.wording import shown
+    from rbtm_bench.runs.settings import parsed
 
     (override,) = parsed([word])
     if override.is_sweep_override():

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from rbtm_bench.core import wording
 from rbtm_bench.core.errors import ConfigError, RbtmBenchError
-from rbtm_bench.runs import settings
+from rbtm_bench.runs import declared, plugins, settings
 from rbtm_bench.runs.experiment import build
 
 REQUIRED = {("selector", "random_gap"): ("selector.gaps=[1,2,3]",)}
@@ -68,7 +69,7 @@ class Catalogue:
             word
             for word in self.overrides
             if word.split(".")[0] == member.group
-            or word.split(".")[0].split("=")[0] not in settings.PLUGIN_GROUPS
+            or word.split(".")[0].split("=")[0] not in declared.PLUGIN_GROUPS
         ]
         words = (str(member), *REQUIRED.get(member, ()), *words, *asked)
         return dict(_config(words, self.folders)[member.group])
@@ -84,12 +85,12 @@ class Catalogue:
 
     def _is_system(self, member: Member) -> bool:
         try:
-            return settings.is_system({"backend": self.node(member)})
+            return plugins.is_system({"backend": self.node(member)})
         except ConfigError:  # told where it is to be built
             return False
 
     def _skip_without_packages(self, member: Member, node: dict[str, Any]) -> None:
-        cls = settings.locate(str(member), str(node["_target_"]))
+        cls = plugins.locate(str(member), str(node["_target_"]))
         absent = [p for p in getattr(cls, "requires", ()) if importlib.util.find_spec(p) is None]
         if absent and member not in self.only:
             pytest.skip(f"{member} needs {', '.join(absent)}")
@@ -102,14 +103,14 @@ CATALOGUE = pytest.StashKey[Catalogue]()
 def _member(word: str, folders: tuple[Path, ...]) -> Member:
     """``GROUP=NAME`` as a member that exists."""
     group, _, name = word.partition("=")
-    if group not in settings.PLUGIN_GROUPS:
+    if group not in declared.PLUGIN_GROUPS:
         raise ConfigError(
             f"--plugin {word}: expected GROUP=NAME."
-            f"{settings.suggestion(group, list(settings.PLUGIN_GROUPS))}"
+            f"{wording.suggestion(group, list(declared.PLUGIN_GROUPS))}"
         )
     known = _names(group, folders)
     if name not in known:
-        raise ConfigError(f"--plugin {word}: no such {group}.{settings.suggestion(name, known)}")
+        raise ConfigError(f"--plugin {word}: no such {group}.{wording.suggestion(name, known)}")
     return Member(group, name)
 
 

@@ -11,6 +11,7 @@ from annotated_types import Ge, Gt, Le
 
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.geometry import inverse, se2, yaw
+from rbtm_bench.core.kinds import Seed
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset, beam_points
 from rbtm_bench.datasets.environments import ENVIRONMENTS, Environment
@@ -56,7 +57,7 @@ class Corridor(Dataset):
         field_of_view_deg: Annotated[float, Gt(0), Le(360)] = 240.0,
         max_range: Annotated[float, Gt(0)] = 4.0,
         range_noise: Annotated[float, Ge(0)] = 0.010,
-        seed: Annotated[int, Ge(0)] = 0,
+        seed: Seed = 0,
         odometry_noise_translation: Annotated[float, Ge(0)] = 0.05,
         odometry_noise_rotation_deg: Annotated[float, Ge(0)] = 0.1,
     ) -> None:

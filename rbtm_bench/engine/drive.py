@@ -191,7 +191,7 @@ def ended_by(
     Where even that cannot be written the run's own files make room; the answer says why anyway.
     """
     sweep_folder.clear_partial(out)
-    record = sweep_folder.stored(out)
+    record = sweep_folder.record_of(out)
     if record.get("status") in ("failed", "done"):  # it has said so itself
         return record
     ending = {

@@ -20,7 +20,7 @@ from rbtm_bench.engine import drive, sweep_folder
 from rbtm_bench.engine.crew import Supervisor, own_supervisor
 from rbtm_bench.engine.progress import RunBar
 from rbtm_bench.engine.sweep_folder import Asked
-from rbtm_bench.runs.grid import Point, values_beside_first
+from rbtm_bench.runs.grid import Point, one_way_to_run, values_beside_first
 from rbtm_bench.runs.settings import Settings, composed, composing, from_hydra, parsed
 
 LAUNCHERS = {
@@ -38,33 +38,35 @@ _bar: RunBar | None = None
 
 
 @dataclass(frozen=True)
-class Plan:
+class SweepPlan:
     """What a sweep will do: settings in which every value occurs, first point first; the words of
-    every job, None where a sweeper makes them up as it goes; Hydra's words; is it one process?"""
+    every job, None where a sweeper makes them up as it goes; Hydra's words; is it one process?;
+    notes on points that are one."""
 
     settings: list[Settings]
     jobs: list[list[str]] | None
     words: list[str]
     one_process: bool
+    notes: list[str]
 
     @classmethod
-    def of(cls, overrides: list[str], extra_dirs: tuple[Path, ...]) -> Plan:
+    def of(cls, overrides: list[str], extra_dirs: tuple[Path, ...]) -> SweepPlan:
         """Check every value and find out the jobs. Raises ``ConfigError``."""
         for word in overrides:
             if word.partition("=")[0] in ("hydra.sweep.dir", "hydra.sweep.subdir"):
                 raise ConfigError(f"{word}: out=DIR names a sweep's folder; its runs are numbered")
         hydra_words = [word for word in overrides if word.startswith("hydra")]
-        task = [word for word in overrides if word not in hydra_words]
+        task, notes = one_way_to_run([word for word in overrides if word not in hydra_words])
         _require_launcher(hydra_words)
         with composing(extra_dirs) as extra:
             experiment = [word for word in task if word.startswith("+experiment=")]
             node = composed([*hydra_words, *experiment, *extra]).hydra
             fixed = _fixed(node.sweeper)
-            found = None if fixed is None else _product([*fixed, *task])
+            jobs = None if fixed is None else _product([*fixed, *task])
         settings = values_beside_first([*(fixed or []), *task], extra_dirs)
         _require_own_stores(node.launcher, settings)
         alone = str(node.launcher.get("_target_")).endswith(".BasicLauncher")
-        return cls(settings, found, [*extra, *overrides], alone)
+        return cls(settings, jobs, [*extra, *hydra_words, *task], alone, notes)
 
     def check_data(self, asked: Asked) -> None:
         """Open all data in a child, which does the runs as well where this is the one process.
@@ -167,7 +169,7 @@ def _run(cfg: DictConfig, hydra_cfg: Any, out: Path, asked: Asked) -> dict[str, 
         sweep_folder.clear([out])
         return drive.ended_by(error, settings, out)
     if sweep_folder.is_finished(out, settings):
-        return sweep_folder.stored(out)
+        return sweep_folder.record_of(out)
     sweep_folder.clear([out])
     settings = drive.sharing(settings, Path(hydra_cfg.sweep.dir))
     settings = replace(settings, config={**settings.config, "overwrite": True})

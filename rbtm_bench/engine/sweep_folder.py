@@ -25,8 +25,7 @@ from typing import Any, Literal
 from rbtm_bench import __version__
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.files import make_folder, write_json
-from rbtm_bench.report import frame as results
-from rbtm_bench.runs import experiment, provenance
+from rbtm_bench.runs import experiment, provenance, stored
 from rbtm_bench.runs.settings import Settings
 
 Kind = Literal["sweep", "compare"]
@@ -38,9 +37,6 @@ STOP = "stopped"
 """Made by ``--fail-fast`` at the first failure: jobs that find it do not begin."""
 LOCK_S = 5.0
 """What the last processes of a killed sweep get to go away before it is resumed."""
-
-HOW_NOT_WHAT = ("out", "overwrite", "time_limit", "pairs", "memory_mb")
-"""Settings that do not change what a run gives."""
 
 
 @dataclass(frozen=True)
@@ -216,7 +212,7 @@ def _lock(fd: int, how: int) -> bool:
     return True
 
 
-def stored(folder: Path) -> dict[str, Any]:
+def record_of(folder: Path) -> dict[str, Any]:
     """A run folder's run.json; {} if there is none that can be read."""
     try:
         record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
@@ -227,7 +223,7 @@ def stored(folder: Path) -> dict[str, Any]:
 
 def status(folder: Path) -> str | None:
     """A run folder's status, None if there is none that can be read."""
-    return stored(folder).get("status")
+    return record_of(folder).get("status")
 
 
 def registrations(folder: Path) -> tuple[int, float]:
@@ -250,7 +246,7 @@ def is_whole(folder: Path) -> bool:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    record = stored(folder)
+    record = record_of(folder)
     if record.get("status") != "done":
         return False
     sizes = {p.name: p.stat().st_size for p in folder.iterdir() if p.name in experiment.FILES}
@@ -269,20 +265,10 @@ def is_finished(folder: Path, settings: Settings) -> bool:
     if not is_whole(folder):
         return False
     try:
-        run = results.read_run(folder)
+        run = stored.read_run(folder)
     except DataError:
         return False
-    same = _what(run.config) == _what(settings.config)
-    return same and run.record.get("choices") == settings.choices
-
-
-def _what(config: dict[str, Any]) -> dict[str, Any]:
-    """The settings that make a run what it is; a folder of gaps by its name, wherever it is."""
-    kept = {key: value for key, value in config.items() if key not in HOW_NOT_WHAT}
-    selector = kept.get("selector")
-    if isinstance(selector, dict) and selector.get("gaps_from"):
-        kept["selector"] = {**selector, "gaps_from": Path(selector["gaps_from"]).name}
-    return kept
+    return run.identity.run == settings.identity.run
 
 
 def clear(folders: Iterable[Path]) -> None:
@@ -315,7 +301,7 @@ def failures(folders: Iterable[Path]) -> list[str]:
     """A line for every run that did not end well."""
     lines = []
     for folder in folders:
-        record = stored(folder)
+        record = record_of(folder)
         if record.get("status") == "failed":
             lines.append(f"{folder.name}: {record.get('reason')}")
         elif record.get("status") == "started":

@@ -35,7 +35,7 @@ from rbtm_bench.plots import (
 )
 from rbtm_bench.plots.pairs import standard_and_rbtm
 from rbtm_bench.plots.studies import studies
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 
 MANY = 6
 """With more runs than this, figures of single runs are drawn for one run a data set only."""

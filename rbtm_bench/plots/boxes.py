@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from rbtm_bench.plots import groups, methods, style
 from rbtm_bench.plots.methods import Data
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 
 LEAST = 4
 """Runs from which on quartiles mean something."""

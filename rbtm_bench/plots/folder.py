@@ -14,8 +14,8 @@ from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array
-from rbtm_bench.report.frame import Run
 from rbtm_bench.runs.occupancy import Occupancy
+from rbtm_bench.runs.stored import Run
 
 NEWER = "localizability_min"
 """A column that runs of version 0.1.0 do not have."""

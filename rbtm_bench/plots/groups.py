@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from rbtm_bench.plots import labels
 from rbtm_bench.report import frame
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 
 FEW = 6
 """Methods that lines in one panel can tell apart."""
@@ -148,12 +148,12 @@ def method_names(runs: Sequence[Run]) -> dict[Run, str]:
     keys: dict[tuple[str, str], set[str]] = {}
     for run in runs:
         place = (names[run], labels.key_of(run, ("backend",)))
-        keys.setdefault(place, set()).add(frame.method_key(run))
+        keys.setdefault(place, set()).add(run.method)
     if all(len(found) == 1 for found in keys.values()):
         return names
-    varied = frame.varied_settings(runs)
+    words = frame.labels(runs)
     return {
-        run: ", ".join(filter(None, [name, varied[run.path]]))
+        run: ", ".join(filter(None, [name, words[run.path]]))
         if len(keys[name, labels.key_of(run, ("backend",))]) > 1
         else name
         for run, name in names.items()

@@ -18,7 +18,7 @@ from rbtm_bench.plots import labels, panels, style
 from rbtm_bench.plots.folder import Paths, read_paths
 from rbtm_bench.plots.groups import Data, Panel
 from rbtm_bench.plots.looks import GUESS, Look, looks
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 
 COLUMNS = 3
 TALL = 2.0

@@ -11,7 +11,7 @@ from typing import Any
 
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.report import tables
-from rbtm_bench.report.frame import SAME_FOR_ALL_SEEDS, Run, read_run
+from rbtm_bench.runs.stored import Run, read_run
 
 ALWAYS = ("window", "threshold", "gap")
 """Settings of a selector that a method's name always gives; others where they differ."""
@@ -50,7 +50,7 @@ def numbers(run: Run, group: str) -> dict[str, float]:
     """The settings of a group that are finite numbers, seeds aside."""
     return {
         key: float(item)
-        for key, item in _flat(section(run, group)).items()
+        for key, item in run.identity.settings(group).items()
         if isinstance(item, int | float) and not isinstance(item, bool) and math.isfinite(item)
     }
 
@@ -103,12 +103,12 @@ def data_name(run: Run) -> str:
 
 def data_key(run: Run) -> str:
     """Equal for runs on the same data set, whatever their seed."""
-    return key_of(run, ("dataset",))
+    return run.identity.dataset
 
 
 def key_of(run: Run, groups: Sequence[str]) -> str:
     """Equal for runs with the same choices and settings of these groups, seeds aside."""
-    return json.dumps([[choice(run, g), _flat(section(run, g))] for g in groups], sort_keys=True)
+    return run.identity.part(*groups)
 
 
 def method(run: Run) -> str:
@@ -184,7 +184,7 @@ def varying(runs: Sequence[Run], group: str, skip: tuple[str, ...] = ()) -> dict
     """For every run its settings of a group that runs with the same choice do not share."""
     members: dict[str, dict[Run, dict[str, Any]]] = {}
     for run in runs:
-        members.setdefault(choice(run, group), {})[run] = _flat(section(run, group))
+        members.setdefault(choice(run, group), {})[run] = run.identity.settings(group)
     out = {}
     for flats in members.values():
         known = dict.fromkeys(key for flat in flats.values() for key in flat if key not in skip)
@@ -237,19 +237,6 @@ def _always(run: Run) -> list[str]:
     settings = section(run, "selector")
     shown = [key for key in ALWAYS if settings.get(key) is not None]
     return [unbroken(f"{WORDS.get(key, key)} {settings[key]:g}") for key in shown]
-
-
-def _flat(node: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested settings under dotted keys, without what only seeds and folders change."""
-    out: dict[str, Any] = {}
-    for key, item in node.items():
-        if key in SAME_FOR_ALL_SEEDS or key == "_target_":
-            continue
-        if isinstance(item, dict):
-            out.update(_flat(item, f"{prefix}{key}."))
-        else:
-            out[f"{prefix}{key}"] = item
-    return out
 
 
 def _path_stem(path: Any) -> str:

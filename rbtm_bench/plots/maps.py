@@ -15,7 +15,7 @@ from rbtm_bench.core.types import Array
 from rbtm_bench.plots import labels, style
 from rbtm_bench.plots.folder import Scene, read_scene
 from rbtm_bench.plots.pairs import Pair
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 
 Limits = tuple[float, float, float, float]
 """x from, x to, y from, y to, in m."""

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from rbtm_bench.plots import labels, style
 from rbtm_bench.plots.folder import read_similarity
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 
 UNDEFINED: dict[str, Any] = {"facecolor": "w", "edgecolor": "0.2", "hatch": "//////", "lw": 0}
 

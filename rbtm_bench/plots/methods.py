@@ -15,7 +15,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 
 from rbtm_bench.plots import labels, style
 from rbtm_bench.plots.groups import method_names
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 
 PANELS_IN_A_LINE = 4
 LOG_FROM = 20.0

@@ -13,8 +13,8 @@ from matplotlib.patches import Patch
 
 from rbtm_bench.plots import labels, maps, style
 from rbtm_bench.plots.folder import read_occupancy, read_scene
-from rbtm_bench.report.frame import Run
 from rbtm_bench.runs.occupancy import Occupancy
+from rbtm_bench.runs.stored import Run
 
 UNKNOWN = "#B9D3E6"
 """Pale blue: no shade of the scale, and a light grey in print."""

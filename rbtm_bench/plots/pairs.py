@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rbtm_bench.plots import labels
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 
 SAME = ("dataset", "backend")
 """What two runs that are compared must share."""

@@ -17,7 +17,7 @@ from rbtm_bench.metrics.relation_errors import FILE, RelationErrors
 from rbtm_bench.plots import labels, panels
 from rbtm_bench.plots.groups import Data, Panel
 from rbtm_bench.plots.looks import GUESS, looks
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 
 COLUMNS = 3
 TALL = 2.0

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 from rbtm_bench.odometry.degeneracy import DEGENERATE
 from rbtm_bench.plots import labels, style
 from rbtm_bench.plots.folder import Steps, read_steps
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 
 LEAST = 1e-5
 """Smaller eigenvalues are drawn here."""

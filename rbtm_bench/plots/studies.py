@@ -10,7 +10,7 @@ import numpy as np
 
 from rbtm_bench.plots import labels
 from rbtm_bench.plots.groups import by_data, file_name, unique
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 
 FAVOURITES = ("window", "threshold")
 """The settings to look at where both vary; else the first two that do."""

@@ -19,7 +19,7 @@ from rbtm_bench.plots.folder import read_paths
 from rbtm_bench.plots.groups import Data, Panel
 from rbtm_bench.plots.looks import GUESS, TRUTH, Look, looks
 from rbtm_bench.plots.maps import START, Limits
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 
 COLUMNS = 3
 TALL = 3.0

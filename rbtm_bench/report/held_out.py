@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.report import frame, tables
-from rbtm_bench.report.frame import METHOD, MethodRuns, Run
-from rbtm_bench.report.units import is_number, key_without_data
+from rbtm_bench.report.frame import METHOD, MethodRuns
+from rbtm_bench.report.units import is_number
+from rbtm_bench.runs.stored import Run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -199,15 +200,15 @@ class _Sorted:
 
     def __init__(self, choosing: Sequence[Run], shown: Sequence[Run]) -> None:
         every = list({run.path: run for run in (*choosing, *shown)}.values())
-        varied, data = frame.varied_settings(every), frame.varied_data(every)
+        words, data = frame.labels(every), frame.data_labels(every)
         # what tells a setting from all others, not from those alone that are shown
-        self._rows = {r.path: frame.row(r, varied[r.path], data[r.path]) for r in every}
+        self._rows = {r.path: frame.row(r, words[r.path], data[r.path]) for r in every}
         self.groups: Groups = {}
         where = {}
         for run in every:
             row = self._rows[run.path]
             settings = self.groups.setdefault((row["backend"], row["selector"]), {})
-            where[run.path] = settings.setdefault(key_without_data(run), _Setting({}, {}))
+            where[run.path] = settings.setdefault(run.way, _Setting({}, {}))
         for run in choosing:
             where[run.path].choosing.setdefault(self.data(run), []).append(run)
         for run in shown:

@@ -14,16 +14,17 @@ from typing import Any
 import numpy as np
 
 from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.kinds import Kind
 from rbtm_bench.report import frame, screen
-from rbtm_bench.report.frame import Run
-from rbtm_bench.runs import experiment
-from rbtm_bench.runs.settings import FEEDING, GROUPS, PLUGIN_GROUPS
+from rbtm_bench.runs import experiment, stored
+from rbtm_bench.runs.declared import GROUPS, PLUGIN_GROUPS, SHARED, kind_of
+from rbtm_bench.runs.stored import Run
 
 WIDTH = 100
 NAMED = 4
 """Runs that an error names at most."""
 
-OWN_CHOICE = ("out", "overwrite", *frame.HOW_NOT_WHAT)
+NO_RESULT = tuple(key for key, s in SHARED.items() if s.kind in (Kind.HOW, Kind.FEED))
 """Settings that change no number."""
 
 TOLD_COSTS = ("ms_per_scan", "peak_memory_mb", "reused")
@@ -38,11 +39,11 @@ def find_run(path: Path) -> Run:
     Raises ``DataError`` naming runs that are there where the path is none.
     """
     if (path / "run.json").is_file():
-        return frame.read_run(path)
+        return stored.read_run(path)
     if path.is_dir():
         below = sorted(file.parent for file in path.rglob("run.json"))
         if len(below) == 1:
-            return frame.read_run(below[0])
+            return stored.read_run(below[0])
         if below:
             names = ", ".join(str(run) for run in below[:NAMED])
             more = f" and {len(below) - NAMED} more" if len(below) > NAMED else ""
@@ -80,7 +81,11 @@ def shown(run: Run) -> str:
         text = f"{choice}: {' '.join(f'{k}={_word(v)}' for k, v in values.items())}"
         lines += _entry("data" if group == "dataset" else group, text.rstrip(": "))
         lines += _entry("", ", ".join(words)) if group == "dataset" else []
-    rest = {k: v for k, v in config.items() if k not in (*GROUPS, *FEEDING, "out", "overwrite")}
+    rest = {
+        k: v
+        for k, v in config.items()
+        if k not in (*GROUPS, "out", "overwrite") and kind_of(k) is not Kind.FEED
+    }
     lines += _entry("other", " ".join(f"{k}={_word(v)}" for k, v in _settings(rest).items()))
     versions = {"git": record.get("git"), **(record.get("versions") or {})}
     lines += _entry("versions", ", ".join(f"{k} {v}" for k, v in versions.items()))
@@ -212,7 +217,7 @@ def told(a: Run, b: Run, found: Differences) -> str:
 def _asked(run: Run, other: Run) -> dict[str, Any]:
     """The settings that may change a number, and the choices they belong to."""
     mine, theirs = run.record["choices"], other.record["choices"]
-    config = {k: v for k, v in run.config.items() if k not in (*FEEDING, *OWN_CHOICE)}
+    config = {k: v for k, v in run.config.items() if k not in NO_RESULT}
     values = _settings(config, targets=True)
     if values.get("selector.gaps_from"):
         values["selector.gaps_from"] = Path(values["selector.gaps_from"]).name

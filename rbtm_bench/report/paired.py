@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.report import intervals, tables
-from rbtm_bench.report.frame import METHOD, MethodRuns, Run
+from rbtm_bench.report.frame import METHOD, MethodRuns
 from rbtm_bench.report.units import CLUSTERS, Units, grouped, methods
 from rbtm_bench.report.with_intervals import choice_of, keys_of, references_of
+from rbtm_bench.runs.stored import Run
 
 if TYPE_CHECKING:
     import pandas as pd

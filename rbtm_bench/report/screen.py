@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.core.files import write_text
 from rbtm_bench.report import frame, tables
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs import stored
+from rbtm_bench.runs.stored import Run
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -40,7 +41,7 @@ RUN_LINES = (
 
 def of_run(out: Path) -> str:
     """A run's main numbers and where its files are."""
-    run = frame.read_run(out)
+    run = stored.read_run(out)
     row = frame.row(run)
     head = f"{row['dataset']}, {row['backend']}, {row['selector']}"
     lines = [f"{head}: {row['scans']} scans in {row['seconds']:.1f} s", *key_numbers(row)]
@@ -67,7 +68,7 @@ def of_runs(out: Path, folders: Sequence[Path]) -> str:
 
     Writes ``table.csv`` (a row a run) and ``summary.csv`` (a row a method).
     """
-    runs = frame.find_runs(folders)
+    runs = stored.find_runs(folders)
     every, methods = frame.frame(runs), frame.over_seeds(runs)
     write_text(out / "table.csv", tables.render(every, "csv") + "\n")
     write_text(out / "summary.csv", tables.render(methods, "csv") + "\n")
@@ -166,7 +167,7 @@ def differences(runs: Sequence[Run]) -> list[str]:
 
 
 def _other_data(runs: Sequence[Run]) -> list[str]:
-    words = frame.varied_data(runs)
+    words = frame.data_labels(runs)
     groups: dict[tuple[str, Any], list[Run]] = {}
     for run in runs:
         if run.record.get("dataset_fingerprint"):
@@ -200,7 +201,7 @@ def _other_versions(runs: Sequence[Run]) -> list[str]:
 
 
 def _repeated(runs: Sequence[Run]) -> list[str]:
-    groups = Counter((frame.method_key(run), run.record.get("seed")) for run in runs)
+    groups = Counter((run.method, run.record.get("seed")) for run in runs)
     again = sum(count - 1 for count in groups.values())
     if not again:
         return []
@@ -241,5 +242,5 @@ def _runs(count: int) -> str:
 
 def failures(folders: Sequence[Path]) -> list[str]:
     """A line for every run that did not end well."""
-    runs = frame.find_runs(folders)
+    runs = stored.find_runs(folders)
     return [f"{r.path.name}: {r.record.get('reason')}" for r in runs if not r.done]

@@ -19,8 +19,10 @@ import numpy as np
 from rbtm_bench.core.types import Array
 from rbtm_bench.metrics.relation_errors import FILE, RelationErrors
 from rbtm_bench.report import frame, intervals
-from rbtm_bench.report.frame import MethodRuns, Run
+from rbtm_bench.report.frame import MethodRuns
 from rbtm_bench.report.intervals import Interval, Labels, Statistic
+from rbtm_bench.runs.identity import node_key
+from rbtm_bench.runs.stored import Run
 
 DATA_SETS, CLUSTERS = "data sets", "clusters"
 
@@ -158,10 +160,8 @@ def is_number(value: Any) -> bool:
 
 def data_set(run: Run) -> str:
     """What makes its data another data set: their fingerprint, or else its settings."""
-    found = run.record.get("dataset_fingerprint")
-    if found:
-        return str(found)
-    return json.dumps([run.record["choices"].get("dataset"), run.config.get("dataset")])
+    fingerprint = run.record.get("dataset_fingerprint")
+    return str(fingerprint or node_key(run.identity.dataset, run.identity.seed))
 
 
 def methods(runs: Sequence[Run], pool: bool) -> list[MethodRuns]:
@@ -174,15 +174,8 @@ def methods(runs: Sequence[Run], pool: bool) -> list[MethodRuns]:
     name = f"{', '.join(kinds)} ({len(names)} pooled)"
     together: dict[str, list[MethodRuns]] = {}
     for method in found:
-        together.setdefault(key_without_data(method.runs[0]), []).append(method)
+        together.setdefault(method.runs[0].way, []).append(method)
     return [_pooled(group, name) for group in together.values()]
-
-
-def key_without_data(run: Run) -> str:
-    """What two runs share that differ only in their data and their seed."""
-    choices = {k: v for k, v in run.record["choices"].items() if k != "dataset"}
-    config = {k: v for k, v in run.config.items() if k != "dataset"}
-    return frame.method_key(replace(run, record={"choices": choices}, config=config))
 
 
 def _pooled(group: list[MethodRuns], name: str) -> MethodRuns:
@@ -202,12 +195,6 @@ def grouped(found: Sequence[MethodRuns], columns: Sequence[str]) -> list[list[Me
     for method in found:
         key = [method.row[column] for column in columns]
         if "selector" in columns and "chosen_on" not in method.row:
-            key.append(json.dumps(_selector(method.runs[0])))
+            key.append(method.runs[0].identity.part("selector"))
         together.setdefault(tuple(key), []).append(method)
     return list(together.values())
-
-
-def _selector(run: Run) -> list[Any]:
-    selector = run.config.get("selector") or {}
-    words = frame.selector_settings(selector)
-    return [selector.get("window"), selector.get("threshold"), words]

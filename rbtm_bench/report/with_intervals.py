@@ -11,9 +11,10 @@ from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.metrics.base import REFERENCES
 from rbtm_bench.report import intervals as statistics
 from rbtm_bench.report import tables
-from rbtm_bench.report.frame import METHOD, MethodRuns, Run
+from rbtm_bench.report.frame import METHOD, MethodRuns
 from rbtm_bench.report.intervals import Statistic
 from rbtm_bench.report.units import Units, grouped, is_number, methods, shared
+from rbtm_bench.runs.stored import Run
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -32,8 +32,10 @@ from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.odometry.system import system_odometry
 from rbtm_bench.runs import provenance
+from rbtm_bench.runs.declared import PLUGIN_GROUPS
 from rbtm_bench.runs.pinning import pin_to_free_core
-from rbtm_bench.runs.settings import PLUGIN_GROUPS, Settings, is_system, locate
+from rbtm_bench.runs.plugins import is_system, locate
+from rbtm_bench.runs.settings import Settings
 from rbtm_bench.similarity.base import Similarity
 
 Progress = Callable[[int, int], None]

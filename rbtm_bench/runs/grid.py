@@ -7,10 +7,9 @@ window. Here an override applies to every chosen member that declares its key.
 from __future__ import annotations
 
 import itertools
-import json
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,22 +18,19 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.kinds import Kind
+from rbtm_bench.core.wording import shown, suggestion
+from rbtm_bench.runs.declared import GROUPS, kind_of
+from rbtm_bench.runs.identity import idle_settings
 from rbtm_bench.runs.settings import (
-    FOR_PAIRS,
-    GROUPS,
     Settings,
     compose_settings,
     composed,
     composing,
     explain,
     from_hydra,
-    is_system,
     parsed,
-    shown,
-    suggestion,
 )
-
-IGNORED_IN_COMPARISON = ("out", "overwrite", "pin", "time_limit")
 
 LONGEST_NAME = 120
 """Characters of a point's name, which is a folder's: file systems take 255 bytes."""
@@ -56,9 +52,9 @@ def make_points(
 
     Raises ``ConfigError`` for a key that no chosen member declares, or any bad value.
     """
-    notes: list[str] = []
+    words, notes = one_way_to_run(words)
     used: set[str] = set()
-    found: list[tuple[Settings, list[str]]] = []
+    points: list[tuple[Settings, list[str]]] = []
     with composing(extra_dirs) as extra:
         groups, keys, additions = _sort_overrides(words)
         declared: list[DictConfig] = []
@@ -67,19 +63,42 @@ def make_points(
             base = composed(chosen + additions + extra)
             idle = _idle(base)
             declared.append(OmegaConf.masked_copy(base, [str(k) for k in base if k not in idle]))
-            here = {key: values for key, values in keys.items() if _declares(declared[-1], key)}
-            used |= here.keys()
-            notes += _note(chosen, groups, keys, here, idle)
+            own = {key: values for key, values in keys.items() if _declares(declared[-1], key)}
+            used |= own.keys()
+            if (
+                "selector" not in idle
+            ):  # a similarity that no selector reads may be set all the same
+                used |= {key for key in keys if _declares(base, key)}
+            notes += _note(chosen, groups, keys, own, idle)
             if any(f"{g}={groups[g][0]}" not in chosen for g in groups if g in idle):
                 continue  # the same as with the first member of those groups
-            for values in itertools.product(*here.values()):
-                overrides = [f"{k}={shown(v)}" for k, v in zip(here, values, strict=True)]
-                settings = _settings(base, here, values, chosen + additions + overrides)
-                found.append((settings, _label(settings, groups, here, values)))
+            for values in itertools.product(*own.values()):
+                overrides = [f"{k}={shown(v)}" for k, v in zip(own, values, strict=True)]
+                settings = _settings(base, own, values, chosen + additions + overrides)
+                points.append((settings, _label(settings, groups, own, values)))
         for key in keys:
             if key not in used:
                 raise ConfigError(_nobody_declares(key, declared))
-    return _named(_merge(found, notes)), list(dict.fromkeys(notes))
+    return _named(_merge(points, notes)), list(dict.fromkeys(notes))
+
+
+def one_way_to_run(words: list[str]) -> tuple[list[str], list[str]]:
+    """The overrides with one value of every setting that says how runs are executed, and a note
+    where there were more: such points give the same. Raises ``ConfigError`` for several folders."""
+    kept, notes = [], []
+    for override in parsed(words):
+        word, key = str(override.input_line), override.key_or_group
+        if kind_of(key) is Kind.HOW and override.is_sweep_override():
+            values = [shown(value) for value in _values(override)]
+            if key == "out":
+                raise ConfigError(f"{word}: a comparison has one value of out")
+            notes.append(
+                f"merged: {key} is how runs are executed, not what they give: "
+                f"its {len(values)} points are one, {key}={values[0]}"
+            )
+            word = f"{word.partition('=')[0]}={values[0]}"
+        kept.append(word)
+    return kept, notes
 
 
 def check_values(words: list[str], extra_dirs: tuple[Path, ...] = ()) -> Settings:
@@ -128,8 +147,6 @@ def _sort_overrides(
             additions.append(str(override.input_line))
         elif key in GROUPS:
             groups[key] = [shown(value) for value in _values(override)]
-        elif key in IGNORED_IN_COMPARISON and override.is_sweep_override():
-            raise ConfigError(f"{override.input_line}: a comparison has one value of {key}")
         else:
             keys[key] = _values(override)
     return groups, keys, additions
@@ -171,8 +188,11 @@ def _declares(config: DictConfig, key: str) -> bool:
 
 
 def _idle(config: Any) -> tuple[str, ...]:
-    """The groups and settings that do nothing for the chosen backend."""
-    return FOR_PAIRS if is_system(config) else ()
+    """The groups and settings outside groups that do nothing for the chosen backend or selector."""
+    plain = OmegaConf.to_container(config, resolve=False)
+    assert isinstance(plain, dict)
+    config = {str(key): node for key, node in plain.items() if key != "hydra"}
+    return tuple(name for name in idle_settings(config) if "." not in name)
 
 
 def _settings(
@@ -198,7 +218,7 @@ def _label(
     label += [
         settings.choices[group]
         for group, members in groups.items()
-        if group not in ("backend", "selector", *_idle(settings.config)) and len(members) > 1
+        if group not in ("backend", "selector", *settings.idle) and len(members) > 1
     ]
     label += [
         f"{key.rpartition('.')[2]}={shown(value)}"
@@ -214,7 +234,7 @@ def _merge(
     """One of every set of points with the same settings (a seed that nothing uses included)."""
     kept: dict[str, tuple[Settings, list[str]]] = {}
     for settings, label in found:
-        key = _identity(settings, ignore=(*IGNORED_IN_COMPARISON, "seed"))
+        key = settings.identity.run
         if key in kept:
             notes.append(
                 f"merged: {' '.join(label) or 'a point'} is the same as "
@@ -223,11 +243,6 @@ def _merge(
         else:
             kept[key] = (settings, label)
     return list(kept.values())
-
-
-def _identity(settings: Settings, ignore: tuple[str, ...]) -> str:
-    config = {k: v for k, v in settings.config.items() if k not in ignore}
-    return json.dumps([settings.choices, config], sort_keys=True)
 
 
 def _named(found: list[tuple[Settings, list[str]]]) -> list[Point]:
@@ -253,9 +268,9 @@ def _named(found: list[tuple[Settings, list[str]]]) -> list[Point]:
             continue
         name = add(label, settings)
         if settings.choices["selector"] == "rbtm":
-            sources.setdefault(_without_selector(settings), []).append(name)
+            sources.setdefault(settings.identity.without("selector", "similarity"), []).append(name)
     for settings, label in waiting:
-        followed = sources.get(_without_selector(settings), [])
+        followed = sources.get(settings.identity.without("selector", "similarity"), [])
         if not followed:
             raise ConfigError(
                 "selector=random_gap draws its gaps from another run: add selector=rbtm to the "
@@ -266,33 +281,26 @@ def _named(found: list[tuple[Settings, list[str]]]) -> list[Point]:
     return list(points.values())
 
 
-def _without_selector(settings: Settings) -> str:
-    """Equal for runs on the same scans by the same backend: a random_gap and the rbtm that it
-    follows. The seed counts where something uses it, and there it stands again."""
-    choices = {k: v for k, v in settings.choices.items() if k != "selector"}
-    plain = replace(settings, choices=choices)
-    return _identity(plain, ignore=(*IGNORED_IN_COMPARISON, "selector", "seed"))
-
-
 def _note(
     chosen: list[str],
     groups: dict[str, list[str]],
     keys: dict[str, list[Any]],
-    here: dict[str, list[Any]],
+    own: dict[str, list[Any]],
     idle: tuple[str, ...],
 ) -> list[str]:
     """Say where a list of values does not apply, so that its points became one. ``idle`` groups
-    do nothing for the chosen backend."""
-    backend = next((word for word in chosen if word.startswith("backend=")), "backend")
+    do nothing for the chosen backend (a whole system) or selector."""
+    owner = "backend" if "selector" in idle else "selector"
+    member = next((word for word in chosen if word.startswith(f"{owner}=")), owner)
     notes = [
-        f"merged: {backend} needs no {group}: its {len(members)} points are one"
+        f"merged: {member} needs no {group}: its {len(members)} points are one"
         for group, members in groups.items()
         if group in idle and len(members) > 1
     ]
     for key, values in keys.items():
         group = key.partition(".")[0]
-        group = "backend" if group in idle else group
-        if key not in here and len(values) > 1:
+        group = owner if group in idle else group
+        if key not in own and len(values) > 1:
             member = next((word for word in chosen if word.startswith(f"{group}=")), group)
             notes.append(f"merged: {member} has no {key}: its {len(values)} points are one")
     return notes

@@ -29,6 +29,8 @@ def of_run(settings: Settings, dataset: Dataset | None, core: int | None) -> dic
         "seconds": None,
         "choices": settings.choices,
         "overrides": list(settings.overrides),
+        "special": {key: kind.name for key, kind in settings.special.items()},
+        "idle": list(settings.idle),
         "seed": settings.config["seed"],
         "scans": len(dataset) if dataset is not None else None,
         "skipped_records": dataset.skipped if dataset is not None else None,

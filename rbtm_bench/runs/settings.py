@@ -1,23 +1,16 @@
 """From the words on the command line to checked settings: composed by Hydra, checked by us.
 
-Hydra composes; it does not check types or ranges. Every ``_target_`` of a composed config is
-looked up here and its values are held against the constructor's annotations (``int``,
-``Literal[...]``, ``Annotated[int, Ge(2)]`` ...) by pydantic, third-party plug-ins included.
+Every ``_target_`` of a composed config is looked up and its values are held against the
+constructor's annotations (``int``, ``Literal[...]``, ``Annotated[int, Ge(2)]`` ...): ``plugins``.
 """
 
 from __future__ import annotations
 
-import difflib
-import importlib
-import inspect
-import json
 import re
-import typing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from annotated_types import Ge, Gt, Lt
 from hydra import compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -25,49 +18,32 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from pydantic import TypeAdapter, ValidationError
-from typing_extensions import TypedDict
 
 from rbtm_bench.core.errors import ConfigError
-
-PLUGIN_GROUPS = ("dataset", "backend", "similarity", "selector", "guess", "check", "target")
-GROUPS = (*PLUGIN_GROUPS, "metrics")
-FOR_PAIRS = ("similarity", "selector", "guess", "check", "target", "guess_along_degenerate")
-"""The groups and settings that a backend which is a whole system does without."""
-FEEDING = ("registration", "descriptor")
-"""Settings that plug-ins take over: once resolved, their values stand there again."""
-
-
-class Pairs(TypedDict):
-    """The settings of ``pairs``."""
-
-    store: Literal["off", "shared", "per_worker"]
-    folder: str | None
-    memory_mb: Annotated[float, Gt(0)]
-
-
-SHARED = (
-    ("seed", Annotated[int, Ge(0)]),
-    ("out", str | None),
-    ("overwrite", bool),
-    ("pictures", bool),
-    ("pairs", Pairs),
-    ("pin", bool),
-    ("time_limit", Annotated[float, Gt(0)] | None),
-    ("map_resolution", Annotated[float, Gt(0)]),
-    ("guess_along_degenerate", Annotated[float, Gt(0), Lt(1)] | None),
-)
-"""The settings outside every group, with their types."""
+from rbtm_bench.core.kinds import Kind
+from rbtm_bench.core.wording import suggestion
+from rbtm_bench.runs.declared import FOR_PAIRS, GROUPS, PLUGIN_GROUPS, SHARED, kind_of
+from rbtm_bench.runs.identity import Identity, idle_settings, special_settings
+from rbtm_bench.runs.plugins import check_node, check_value, is_system
 
 
 @dataclass(frozen=True)
 class Settings:
     """One run's settings, resolved: ``config`` is plain data, ``choices`` names the members of
-    the groups (``{"backend": "open3d_p2p", ...}``), ``overrides`` are the words typed."""
+    the groups (``{"backend": "open3d_p2p", ...}``), ``overrides`` are the words typed.
+    ``special`` and ``idle`` are what ``identity`` has to know: the plug-ins' parameters that are a
+    seed or another run's folder, and what does nothing for the chosen plug-ins."""
 
     config: dict[str, Any]
     choices: dict[str, str]
     overrides: tuple[str, ...] = ()
+    special: dict[str, Kind] = field(default_factory=dict)
+    idle: tuple[str, ...] = ()
+
+    @property
+    def identity(self) -> Identity:
+        """What makes the run the same as another."""
+        return Identity.of(self.choices, self.config, self.special, self.idle)
 
 
 def config_dir() -> Path:
@@ -195,132 +171,38 @@ def from_hydra(cfg: DictConfig, overrides: tuple[str, ...] = ()) -> Settings:
         overrides,
     )
     check(settings.config)
-    return _of_system(settings) if is_system(settings.config) else settings
-
-
-def is_system(config: Any) -> bool:
-    """Whether the chosen backend is a ``System``, which needs nobody to choose model scans."""
-    from rbtm_bench.backends.system import System
-
-    node = config.get("backend") or {}
-    if "_target_" not in node:  # said by whoever checks the backend
-        return False
-    made = locate("backend", str(node["_target_"]))
-    made = made if inspect.isclass(made) else getattr(made, "__self__", None)
-    return inspect.isclass(made) and issubclass(made, System)
+    if is_system(settings.config):
+        settings = _of_system(settings)
+    return replace(
+        settings,
+        special=special_settings(plain, settings.config),
+        idle=idle_settings(settings.config),
+    )
 
 
 def _of_system(settings: Settings) -> Settings:
     """Without what does nothing for a system: it must not tell runs apart that are the same."""
-    config = {k: v for k, v in settings.config.items() if k not in (*FOR_PAIRS, *FEEDING)}
+    config = {
+        k: v
+        for k, v in settings.config.items()
+        if k not in FOR_PAIRS and kind_of(k) is not Kind.FEED
+    }
     choices = {g: "none" if g in FOR_PAIRS else name for g, name in settings.choices.items()}
     return replace(settings, config=config, choices=choices)
 
 
 def check(config: dict[str, Any]) -> None:
     """Hold every ``_target_`` of the config against its constructor. Raises ``ConfigError``."""
-    for key, kind in SHARED:
+    for key, setting in SHARED.items():
+        if setting.type is None:
+            continue
         if key not in config:
             raise ConfigError(f"{key} is not set: it cannot be left out")
-        _check_value(key, config[key], kind)
+        check_value(key, config[key], setting.type)
     for group in PLUGIN_GROUPS:
         check_node(group, config.get(group))
     for name, node in (config.get("metrics") or {}).items():
         check_node(f"metrics.{name}", node)
-
-
-def check_node(name: str, node: Any) -> None:
-    """Check one plug-in's node: its class exists, it knows every key, and every value fits."""
-    if not isinstance(node, dict) or "_target_" not in node:
-        raise ConfigError(f"{name}: expected a config with a _target_, got {node!r}")
-    parameters = constructor_parameters(name, str(node["_target_"]))
-    given = {str(k): v for k, v in node.items() if not str(k).startswith("_")}
-    accepts_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
-    for key, value in given.items():
-        if key not in parameters:
-            if accepts_any:
-                continue
-            known = [k for k, p in parameters.items() if p.kind is not p.VAR_KEYWORD]
-            raise ConfigError(f"{name}.{key}: no such setting.{suggestion(key, known)}")
-        _check_value(f"{name}.{key}", value, parameters[key].annotation)
-    if node.get("_partial_") or node.get("_args_"):
-        return
-    for key, parameter in parameters.items():
-        required = parameter.default is parameter.empty and parameter.kind not in (
-            parameter.VAR_KEYWORD,
-            parameter.VAR_POSITIONAL,
-        )
-        if required and key not in given:
-            raise ConfigError(f"{name}.{key} is not set: {node['_target_']} requires it")
-
-
-def locate(name: str, target: str) -> Any:
-    """What ``_target_`` names: a class, or something in a class that makes one.
-
-    Raises ``ConfigError`` saying why it is not there, whatever its module raises.
-    """
-    *modules, attribute = target.split(".")
-    try:
-        found, rest = _import(modules)
-        for part in (*rest, attribute):
-            found = getattr(found, part)
-    except Exception as error:
-        known = isinstance(error, ImportError | AttributeError)
-        text = " ".join([*([] if known else [f"{type(error).__name__}:"]), *str(error).split()])
-        raise ConfigError(f"{name}: cannot load {target}: {text}") from error
-    if not callable(found):
-        raise ConfigError(f"{name}: cannot load {target}: not a class")
-    return found
-
-
-def _import(parts: list[str]) -> tuple[Any, list[str]]:
-    """The module that the longest possible start of a dotted name stands for, and the rest."""
-    if not parts:
-        raise ImportError("expected a dotted name such as package.module.Class")
-    for count in range(len(parts), 0, -1):
-        name = ".".join(parts[:count])
-        try:
-            return importlib.import_module(name), parts[count:]
-        except ModuleNotFoundError as error:
-            if count == 1 or error.name != name:
-                raise
-    raise AssertionError("a name of no parts")
-
-
-def constructor_parameters(name: str, target: str) -> dict[str, inspect.Parameter]:
-    """The constructor's parameters with evaluated annotations."""
-    cls = locate(name, target)
-    try:
-        signature = inspect.signature(cls)
-    except ValueError:  # written in C: it does not say what it takes
-        return {"kwargs": inspect.Parameter("kwargs", inspect.Parameter.VAR_KEYWORD)}
-    init = cls.__init__ if inspect.isclass(cls) else cls
-    try:
-        hints = typing.get_type_hints(init, include_extras=True)
-    except Exception:  # an annotation that only a type checker can look up
-        hints = {}
-    return {
-        key: parameter.replace(annotation=hints.get(key, Any))
-        for key, parameter in signature.parameters.items()
-    }
-
-
-def suggestion(word: str, known: list[str]) -> str:
-    """ " Did you mean x? Known: ..." for a mistyped word."""
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.5)
-    meant = f" Did you mean {close[0]}?" if close else ""
-    return f"{meant} Known: {', '.join(known) if known else '(none)'}"
-
-
-def shown(value: Any) -> str:
-    """A value as one would type it."""
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, list):
-        return f"[{','.join(map(shown, value))}]"
-    return str(value)
 
 
 def explain(error: Exception) -> str:
@@ -356,29 +238,3 @@ def explain(error: Exception) -> str:
 
 def _first_line(error: Exception) -> str:
     return str(error).splitlines()[0]
-
-
-def _check_value(name: str, value: Any, annotation: Any) -> None:
-    """One value against one annotation: no word or truth value may stand for a number.
-
-    Held against it as JSON, so that a list may stand for a tuple and a word for a path.
-    """
-    if isinstance(value, dict) and "_target_" in value:
-        check_node(name, value)
-        return
-    if annotation is Any or annotation is inspect.Parameter.empty:
-        return
-    if isinstance(value, float) and value != value:
-        raise ConfigError(f"{name}={value}: input should be a number")
-    try:
-        adapter: TypeAdapter[Any] = TypeAdapter(annotation)
-    except Exception:  # an annotation that pydantic has no schema for: nothing to check against
-        return
-    try:
-        adapter.validate_json(json.dumps(value, default=str), strict=True)
-    except ValidationError as error:
-        problems = dict.fromkeys(p["msg"][:1].lower() + p["msg"][1:] for p in error.errors())
-        text = " or ".join(list(problems)[:3])
-        if "valid string" in text:
-            text += f"; quote it: \"{name}='{shown(value)}'\""
-        raise ConfigError(f"{name}={shown(value)}: {text}") from error

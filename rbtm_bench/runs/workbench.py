@@ -6,7 +6,6 @@ One data set is kept at a time; memory is bounded by ``memory_mb``.
 from __future__ import annotations
 
 import atexit
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,8 +24,10 @@ from rbtm_bench.pairs.shared import (
 )
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.runs import experiment
+from rbtm_bench.runs.identity import node_key
+from rbtm_bench.runs.plugins import is_system
 from rbtm_bench.runs.provenance import versions_of
-from rbtm_bench.runs.settings import Settings, is_system
+from rbtm_bench.runs.settings import Settings
 
 T = TypeVar("T")
 
@@ -83,14 +84,14 @@ class Workbench:
         self._data_key = ""
 
     def _once(self, kind: str, node: Any, make: Callable[[], T]) -> T:
-        key = f"{kind} {_key(node)}"
+        key = f"{kind} {node_key(node)}"
         if key not in self._shared:
             self._shared[key] = make()
         shared: T = self._shared[key]
         return shared
 
     def _dataset(self, config: dict[str, Any]) -> SharedDataset:
-        data_key = _key(config["dataset"])
+        data_key = node_key(config["dataset"])
         if data_key != self._data_key:
             self.forget()
             plain = experiment.build(config["dataset"])
@@ -154,7 +155,3 @@ def close_own() -> None:
 
 
 atexit.register(close_own)
-
-
-def _key(node: Any) -> str:
-    return json.dumps(node, sort_keys=True, default=str)

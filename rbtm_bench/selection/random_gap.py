@@ -11,6 +11,7 @@ from annotated_types import Ge
 from numpy.typing import NDArray
 
 from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.kinds import OtherRun, Seed
 from rbtm_bench.core.types import Array
 from rbtm_bench.selection.base import Selector
 from rbtm_bench.selection.fixed_gap import nearest_gap
@@ -28,9 +29,9 @@ class RandomGap(Selector):
 
     def __init__(
         self,
-        gaps_from: str | None = None,
+        gaps_from: OtherRun = None,
         gaps: Sequence[Annotated[int, Ge(1)]] | None = None,
-        seed: Annotated[int, Ge(0)] = 0,
+        seed: Seed = 0,
     ) -> None:
         if (gaps_from is None) == (not gaps):
             raise ConfigError(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
@@ -35,6 +35,10 @@ class ThresholdSelector(Selector):
     """
 
     needs_scores = True
+    idle_settings: ClassVar[dict[str, tuple[str, Any]]] = {
+        "keyframe_distance": ("content", "scans"),
+        "keyframe_angle_deg": ("content", "scans"),
+    }
 
     def __init__(
         self,

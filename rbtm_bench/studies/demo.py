@@ -16,7 +16,8 @@ from rbtm_bench.cli.commands import guarded
 from rbtm_bench.core.files import make_folder
 from rbtm_bench.engine import drive
 from rbtm_bench.engine.progress import bar
-from rbtm_bench.report import frame, screen
+from rbtm_bench.report import screen
+from rbtm_bench.runs import stored
 from rbtm_bench.runs.grid import make_points
 
 OUT = Path("results/demo")
@@ -53,7 +54,7 @@ def demo(out: Path) -> int:
 
         drive.run_points(points, out, drive.default_jobs(), done)
     folders = [out / point.name for point in points]
-    figures = plots.draw(frame.find_runs(folders), out / "figures")
+    figures = plots.draw(stored.find_runs(folders), out / "figures")
     print(screen.of_runs(out, folders))
     print("settings chosen on seeds 100-104, four tries for each strategy")
     for figure in figures:

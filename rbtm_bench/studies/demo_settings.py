@@ -14,6 +14,7 @@ import numpy as np
 
 from rbtm_bench.cli.commands import main as rbtm_bench
 from rbtm_bench.report import frame
+from rbtm_bench.runs import stored
 
 BACKENDS = "open3d_p2p,open3d_p2plane,open3d_gicp,kiss_icp"
 SEEDS = "100,101,102,103,104"
@@ -35,7 +36,7 @@ def choose(out: Path) -> int:
             return code
     print("\ngeometric mean over backends of the median final error over seeds (mm):")
     for selector in TRIES:
-        table = frame.over_seeds(frame.find_runs([out / selector]))
+        table = frame.over_seeds(stored.find_runs([out / selector]))
         shown = table[["window", "threshold", "settings"]].astype(object)
         setting = shown.where(shown.notna(), "").map(str).agg(" ".join, axis=1)
         score = table.groupby(setting, sort=False)[ERROR].agg(lambda e: np.exp(np.log(e).mean()))

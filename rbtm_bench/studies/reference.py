@@ -32,9 +32,9 @@ from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.kitti import Kitti
 from rbtm_bench.engine import drive, sweep_folder
-from rbtm_bench.report.frame import Run, find_runs, selector_settings
 from rbtm_bench.runs import provenance
 from rbtm_bench.runs.grid import Point, make_points
+from rbtm_bench.runs.stored import Run, find_runs
 from rbtm_bench.studies.campaign import STAMP, Campaign, begin
 from rbtm_bench.studies.demo import BACKENDS, GRIDS, SEEDS
 from rbtm_bench.studies.paper.plan import make_size
@@ -232,7 +232,21 @@ def _method(run: Run) -> dict[str, Any]:
 def _settings(selector: dict[str, Any]) -> list[str]:
     """All of a selector's settings, as overrides."""
     own = [f"{k}={selector[k]:g}" for k in ("window", "threshold") if selector.get(k) is not None]
-    return [*own, selector_settings(selector)] if selector_settings(selector) else own
+    return [*own, _own_settings(selector)] if _own_settings(selector) else own
+
+
+def _own_settings(selector: dict[str, Any]) -> str:
+    """The selector's settings that have no column of their own, as overrides."""
+    own = ("_target_", "window", "threshold", "seed", "gaps", "gaps_from")
+    keyframes_unused = selector.get("content") == "scans"
+    parts = []
+    for key, value in selector.items():
+        if key in own or value is None or (keyframes_unused and key.startswith("keyframe_")):
+            continue
+        if (key, value) in (("content", "scans"), ("fallback", "previous")):
+            continue
+        parts.append(f"{key}={f'{value:g}' if isinstance(value, float) else value}")
+    return " ".join(parts)
 
 
 def paper_files(out: Path, source: Path = PAPER) -> list[Path]:

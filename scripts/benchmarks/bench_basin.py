@@ -29,7 +29,7 @@ from rbtm_bench.core.files import make_folder, write_atomically
 from rbtm_bench.core.types import Array
 from rbtm_bench.engine.progress import bar
 from rbtm_bench.plots import basins, style
-from rbtm_bench.runs import experiment, settings
+from rbtm_bench.runs import experiment, plugins, settings
 from rbtm_bench.runs.pinning import pin_to_free_core
 
 ENVIRONMENTS = ("paper", "cluttered", "l_turn")
@@ -77,7 +77,7 @@ def backends_for(names: str | None, planar: bool, words: list[str]) -> dict[str,
     needed, found = "2d" if planar else "3d", {}
     for name in names.split(",") if names else settings.members("backend"):
         node = settings.compose_settings([*words, f"backend={name}"]).config["backend"]
-        cls = settings.locate(f"backend={name}", node["_target_"])
+        cls = plugins.locate(f"backend={name}", node["_target_"])
         fits = isinstance(cls, type) and issubclass(cls, Backend) and needed in cls.dimensions
         if fits and not cls.is_baseline:
             found[name] = experiment.build(node)

@@ -11,7 +11,8 @@ import pytest
 
 from rbtm_bench.cli import about
 from rbtm_bench.cli.commands import main
-from rbtm_bench.runs.settings import PLUGIN_GROUPS, config_dir, members
+from rbtm_bench.runs.declared import PLUGIN_GROUPS
+from rbtm_bench.runs.settings import config_dir, members
 
 MINE = '''"""A matcher of somebody else.
 

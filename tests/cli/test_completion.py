@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from rbtm_bench.cli.completion import COMMANDS
 from rbtm_bench.cli.commands import main
+from rbtm_bench.cli.completion import COMMANDS
 from rbtm_bench.runs.settings import members
 
 

@@ -62,7 +62,10 @@ def test_no_registry_is_named_in_a_committed_file() -> None:
         capture_output=True,
         text=True,
     ).stdout
-    machinery = {"tests/end_to_end/test_setup.py", "scripts/setup.sh"}  # they name pip's settings, no host
+    machinery = {
+        "tests/end_to_end/test_setup.py",
+        "scripts/setup.sh",
+    }  # they name pip's settings, no host
     found = []
     for name in filter(None, listed.split("\0")):
         try:

@@ -17,14 +17,14 @@ from rbtm_bench import plots
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.plots import boxes, cost, growth, looks, occupancy, style, trajectories
 from rbtm_bench.plots.placing import Label, place
-from rbtm_bench.report import frame
+from rbtm_bench.runs import stored
 from rbtm_bench.runs.experiment import write_npz
 from rbtm_bench.runs.occupancy import Occupancy
 
 # --- accuracy against time
 
 
-def numbered(out: Path, *numbers: tuple[str, str, float, float]) -> list[frame.Run]:
+def numbered(out: Path, *numbers: tuple[str, str, float, float]) -> list[stored.Run]:
     return [
         make_run(out / f"{backend}-{selector}", selector, backend, ms=ms, error=error)
         for backend, selector, ms, error in numbers
@@ -131,7 +131,7 @@ def test_labels_cover_neither_markers_nor_each_other() -> None:
 # --- box plots over seeds
 
 
-def seeds(out: Path, errors: list[float], selector: str = "rbtm") -> list[frame.Run]:
+def seeds(out: Path, errors: list[float], selector: str = "rbtm") -> list[stored.Run]:
     return [
         make_run(out / f"{selector}{i}", selector, seed=i, error=error)
         for i, error in enumerate(errors)
@@ -182,7 +182,7 @@ def test_few_seeds_and_too_many_methods_have_no_boxes(tmp_path: Path) -> None:
 # --- occupancy
 
 
-def with_grid(run: frame.Run, hits: Any, passed: Any, cell: float = 0.5) -> frame.Run:
+def with_grid(run: stored.Run, hits: Any, passed: Any, cell: float = 0.5) -> stored.Run:
     grid = Occupancy(np.asarray(hits, np.uint32), np.asarray(passed, np.uint32), np.zeros(2), cell)
     points = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 0.0]], np.float32)
     write_npz(run.path / "map.npz", points=points, **grid.arrays())

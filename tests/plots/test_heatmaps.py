@@ -18,7 +18,7 @@ from rbtm_bench.cli.commands import main
 from rbtm_bench.core.files import write_json, write_text
 from rbtm_bench.plots import heatmaps, labels, lines, style
 from rbtm_bench.plots.studies import studies
-from rbtm_bench.report import frame
+from rbtm_bench.runs import stored
 
 MM = "final_translation_error_mm"
 
@@ -54,8 +54,8 @@ def grid(out: Path, windows: Any, thresholds: Any, backend: str = "p2p", **more:
             )  # fmt: skip
 
 
-def read(*folders: Path) -> list[frame.Run]:
-    return frame.find_runs(folders)
+def read(*folders: Path) -> list[stored.Run]:
+    return stored.find_runs(folders)
 
 
 def texts(figure: Figure) -> list[str]:

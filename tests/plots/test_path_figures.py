@@ -15,7 +15,7 @@ from rbtm_bench.core.types import Array
 from rbtm_bench.metrics.ape import Ape
 from rbtm_bench.metrics.relation_errors import FILE, RelationErrors
 from rbtm_bench.plots import groups, growth, looks, spans, style, trajectories
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 
 # --- runs by data set, backend and method
 

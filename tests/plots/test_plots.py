@@ -20,7 +20,7 @@ from rbtm_bench.core.geometry import se2
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import StepRecord
 from rbtm_bench.plots import folder, labels, maps, matrix, methods, pairs, steps, style
-from rbtm_bench.report import frame
+from rbtm_bench.runs import stored
 from rbtm_bench.runs.experiment import write_npz, write_steps
 
 N = 12
@@ -57,7 +57,7 @@ def make_run(
     check: str = "none",
     truth: bool = True,
     spatial: bool = False,
-) -> frame.Run:
+) -> stored.Run:
     """A run folder like those that ``experiment.run`` leaves, read back."""
     path.mkdir(parents=True)
     config = {
@@ -73,7 +73,7 @@ def make_run(
     record = {"status": status, "choices": choices, "seed": seed, "scans": N}
     if status != "done":
         write_json(path / "run.json", {**record, "reason": "the lid is shut"})
-        return frame.read_run(path)
+        return stored.read_run(path)
     write_json(path / "run.json", record)
     metrics = {"final_translation_error_mm": error, "final_along_mm": -3.0, "final_cross_mm": 2.0}
     write_json(path / "metrics.json", {**metrics, "mean_gap": 2.8, "rejected": 1})
@@ -89,7 +89,7 @@ def make_run(
     if selector == "rbtm":
         scores = np.exp(-0.2 * np.abs(np.subtract.outer(np.arange(N), np.arange(N))))
         write_npz(path / "similarity.npz", scans=np.arange(N), scores=scores)
-    return frame.read_run(path)
+    return stored.read_run(path)
 
 
 def stems(files: list[Path]) -> set[str]:

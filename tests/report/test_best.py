@@ -16,6 +16,7 @@ from omegaconf import OmegaConf
 from rbtm_bench.cli.commands import main
 from rbtm_bench.core.files import write_json, write_text
 from rbtm_bench.report import frame, screen, tables
+from rbtm_bench.runs import stored
 
 MM = "final_translation_error_mm"
 RELATIONS = "relations_translation_mean_m"
@@ -59,7 +60,7 @@ def make_run(
 
 
 def best_of(*folders: Path) -> list[dict[str, Any]]:
-    table = tables.best(frame.over_seeds(frame.find_runs(folders)))
+    table = tables.best(frame.over_seeds(stored.find_runs(folders)))
     return table.astype(object).where(table.notna(), None).to_dict(orient="records")
 
 
@@ -131,7 +132,7 @@ def test_data_sets_have_their_own_main_error(tmp_path: Path) -> None:
     corridor, log = best_of(tmp_path)
     assert (corridor["data"], corridor["window"], corridor[MM]) == ("corridor", 8, 8.0)
     assert (log["data"], log["window"], log[RELATIONS]) == ("carmen", 8, 0.4)
-    table = tables.best(frame.over_seeds(frame.find_runs([tmp_path])))
+    table = tables.best(frame.over_seeds(stored.find_runs([tmp_path])))
     columns, main_errors = tables.best_columns(table)
     assert set(main_errors) == {MM, RELATIONS} and columns[-2:] == ["ms_per_scan", "tried"]
 
@@ -140,7 +141,7 @@ def test_a_second_error_stands_beside_the_main_one(tmp_path: Path) -> None:
     make_run(
         tmp_path / "a", "rbtm", 9.0, metrics={"ape_rmse_m": 0.1, "final_rotation_error_deg": 1}
     )
-    table = tables.best(frame.over_seeds(frame.find_runs([tmp_path])))
+    table = tables.best(frame.over_seeds(stored.find_runs([tmp_path])))
     assert tables.best_columns(table)[0][-4:] == [MM, "ape_rmse_m", "ms_per_scan", "tried"]
 
 
@@ -174,7 +175,7 @@ def test_of_equal_settings_the_smallest_window_stands_for_all(tmp_path: Path) ->
         make_run(tmp_path / f"{window}", "rbtm", 5.0 if window < 16 else 6.0, window=window)
     (row,) = best_of(tmp_path)
     assert (row["window"], row["equal"], row["tried"]) == (4, 2, 3)
-    table = tables.best(frame.over_seeds(frame.find_runs([tmp_path])))
+    table = tables.best(frame.over_seeds(stored.find_runs([tmp_path])))
     assert any("smallest window" in line for line in tables.chances(table))
 
 
@@ -182,7 +183,7 @@ def test_of_equal_settings_the_smallest_window_stands_for_all(tmp_path: Path) ->
 
 
 def test_unequal_tries_are_named_in_words(sweep: Path) -> None:
-    table = tables.best(frame.over_seeds(frame.find_runs([sweep])))
+    table = tables.best(frame.over_seeds(stored.find_runs([sweep])))
     first, second = tables.chances(table)
     assert "chosen on the very data shown" in first
     assert second == (
@@ -194,7 +195,7 @@ def test_unequal_tries_are_named_in_words(sweep: Path) -> None:
 
 def test_tries_that_differ_between_backends_name_them(sweep: Path) -> None:
     make_run(sweep / "z", "previous", 1.0, seed=0, shared={"backend": {"radius": 9}})
-    table = tables.best(frame.over_seeds(frame.find_runs([sweep])))
+    table = tables.best(frame.over_seeds(stored.find_runs([sweep])))
     assert tables.chances(table)[1:] == [
         "gicp: rbtm had 2 settings to choose from, keyframe and previous 1 each: "
         "not an equal chance",
@@ -207,7 +208,7 @@ def test_equal_tries_are_said_to_be_equal(tmp_path: Path) -> None:
     for value in (4, 8):
         make_run(tmp_path / f"r{value}", "rbtm", float(value), window=value)
         make_run(tmp_path / f"g{value}", "fixed_gap", float(value), gap=value)
-    table = tables.best(frame.over_seeds(frame.find_runs([tmp_path])))
+    table = tables.best(frame.over_seeds(stored.find_runs([tmp_path])))
     assert tables.chances(table)[1:] == ["every method had 2 settings to choose from"]
 
 
@@ -248,7 +249,7 @@ def test_registrations_reused_are_counted_over_the_sweep(tmp_path: Path) -> None
     for i, metrics in enumerate(shares):
         make_run(tmp_path / str(i), "rbtm", 1.0, window=i, metrics=metrics)
     make_run(tmp_path / "none", "rbtm", 1.0, backend="none", metrics={"reused": 0.0})
-    runs = frame.find_runs([tmp_path])
+    runs = stored.find_runs([tmp_path])
     assert screen.reuse(runs) == [
         "registrations: asked 15, computed 8, reused 46.7% (and 3 rejected ones)"
     ]
@@ -261,14 +262,14 @@ def test_failures_are_counted_by_reason(tmp_path: Path) -> None:
     for i in range(3):
         make_run(tmp_path / f"slow{i}", "rbtm", None, status="failed", reason="time limit of 5 s")
     make_run(tmp_path / "crash", "rbtm", None, status="failed", reason="signal 11 (SIGSEGV)")
-    runs = frame.find_runs([tmp_path])
+    runs = stored.find_runs([tmp_path])
     assert screen.reasons(runs) == [
         "failed: 4 of 5 runs",
         "  3 x time limit of 5 s (slow0, slow1, 1 more)",
         "  1 x signal 11 (SIGSEGV) (crash)",
     ]
     make_run(tmp_path / "open", "rbtm", None, status="started")
-    lines = screen.reasons(frame.find_runs([tmp_path]))
+    lines = screen.reasons(stored.find_runs([tmp_path]))
     assert lines[0] == "not done: 5 of 6 runs"
     assert "  1 x started, but never ended (open)" in lines
     assert screen.reasons(runs[1:2]) == []
@@ -286,7 +287,7 @@ def test_alike_runs_give_no_warning(tmp_path: Path) -> None:
     for seed in (0, 1):  # another seed is other data, and may be
         versioned(tmp_path / f"a{seed}", "rbtm", "0.20", f"data{seed}", seed=seed)
         versioned(tmp_path / f"b{seed}", "previous", "0.20", f"data{seed}", seed=seed)
-    assert screen.differences(frame.find_runs([tmp_path])) == []
+    assert screen.differences(stored.find_runs([tmp_path])) == []
 
 
 def test_other_versions_name_themselves_and_their_runs(tmp_path: Path) -> None:
@@ -295,7 +296,7 @@ def test_other_versions_name_themselves_and_their_runs(tmp_path: Path) -> None:
     versioned(tmp_path / "two" / "9", "rbtm", "0.19", "data", window=9)
     record = json.loads((tmp_path / "one" / "0" / "run.json").read_text())
     write_json(tmp_path / "one" / "0" / "run.json", {**record, "git": "abc+"})
-    assert screen.differences(frame.find_runs([tmp_path / "one", tmp_path / "two"])) == [
+    assert screen.differences(stored.find_runs([tmp_path / "one", tmp_path / "two"])) == [
         f"open3d differs: 0.20 in 3 runs ({tmp_path / 'one'}), "
         f"0.19 in 1 run ({tmp_path / 'two' / '9'})",
         f"the checkout (git) differs: abc+ in 1 run ({tmp_path / 'one' / '0'}), "
@@ -307,7 +308,7 @@ def test_other_data_under_the_same_name_and_seed_are_named(tmp_path: Path) -> No
     for seed in (0, 1, 2):
         versioned(tmp_path / "a" / str(seed), "rbtm", "1", f"old{seed}", seed=seed)
         versioned(tmp_path / "b" / str(seed), "previous", "1", f"new{seed}", seed=seed)
-    (line,) = screen.differences(frame.find_runs([tmp_path]))
+    (line,) = screen.differences(stored.find_runs([tmp_path]))
     assert line == (
         f"corridor, seed 0: the data differ: old0 in 1 run ({tmp_path / 'a' / '0'}), "
         f"new0 in 1 run ({tmp_path / 'b' / '0'}); and so for 2 more seeds"
@@ -318,14 +319,14 @@ def test_a_log_is_the_same_data_whatever_the_seed(tmp_path: Path) -> None:
     log = {"dataset": "carmen", "data": {"path": "a.clf"}}
     versioned(tmp_path / "a", "rbtm", "1", "old", seed=0, **log)
     versioned(tmp_path / "b", "rbtm", "1", "new", seed=1, **log)
-    (line,) = screen.differences(frame.find_runs([tmp_path]))
+    (line,) = screen.differences(stored.find_runs([tmp_path]))
     assert line.startswith("carmen: the data differ: old in 1 run")
 
 
 def test_repeated_runs_are_counted(tmp_path: Path) -> None:
     for place in "abc":
         versioned(tmp_path / place / "run", "rbtm", "1", "data", window=4)
-    (line,) = screen.differences(frame.find_runs([tmp_path]))
+    (line,) = screen.differences(stored.find_runs([tmp_path]))
     assert line == "2 runs repeat the settings and the seed of another; medians count each"
 
 
@@ -367,18 +368,18 @@ SCALARS = {
 def test_settings_are_read_as_omegaconf_reads_them(tmp_path: Path) -> None:
     path = make_run(tmp_path / "run", "rbtm", 1.0, shared=SCALARS)
     expected = OmegaConf.to_container(OmegaConf.load(path / "config.yaml"))
-    assert frame.read_run(path).config == expected
+    assert stored.read_run(path).config == expected
     for text in ("a: 1e-5", "a: 1.e3", "a: 2020-01-01", "a: 1_000", "a: .5", "a: '1e3'"):
         write_text(path / "config.yaml", text)
         expected = OmegaConf.to_container(OmegaConf.load(path / "config.yaml"))
-        assert frame.read_run(path).config == expected
+        assert stored.read_run(path).config == expected
     assert yaml.SafeLoader.yaml_implicit_resolvers["2"]  # others still find their dates
 
 
 def test_a_source_of_gaps_is_read_again_when_it_changes(tmp_path: Path) -> None:
     source = make_run(tmp_path / "source", "rbtm", 1.0, window=4, threshold=0.5)
-    assert frame.gap_source(source) == "rbtm window=4 threshold=0.5"
+    drawn = make_run(tmp_path / "drawn", "random_gap", 1.0, gaps_from=str(source))
+    assert frame.source_words(stored.read_run(drawn)) == "rbtm window=4 threshold=0.5"
     text = (source / "config.yaml").read_text().replace("window: 4", "window: 16")
     write_text(source / "config.yaml", text)
-    assert frame.gap_source(source) == "rbtm window=16 threshold=0.5"
-    assert frame.gap_source(tmp_path / "gone") == "gone"
+    assert frame.source_words(stored.read_run(drawn)) == "rbtm window=16 threshold=0.5"

@@ -12,6 +12,7 @@ import yaml
 from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.report import frame
+from rbtm_bench.runs import stored
 
 ASKED_FOR = [
     *("run", "status", "dataset", "backend", "selector", "window", "threshold", "seed", "scans"),
@@ -67,7 +68,7 @@ def test_a_real_run_reads_back(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ["dataset.scans=10", "backend=none", "pin=false", f"out='{out}'", "seed=3"]
     assert main(["run", *words, "selector.window=5"]) == 0
-    run = frame.read_run(out)
+    run = stored.read_run(out)
     assert run.done and run.path == out
     row = frame.row(run)
     assert [key for key in row if key in ASKED_FOR] == ASKED_FOR
@@ -84,7 +85,7 @@ def test_a_real_run_reads_back(tmp_path: Path) -> None:
 def test_runs_below_a_folder_once_each_and_in_order(tmp_path: Path) -> None:
     for name in ("b", "a", "deep/er/c"):
         make_run(tmp_path / name, metrics={})
-    found = frame.find_runs([tmp_path / "b", tmp_path, tmp_path / "deep"])
+    found = stored.find_runs([tmp_path / "b", tmp_path, tmp_path / "deep"])
     assert [run.path.name for run in found] == ["b", "a", "c"]
 
 
@@ -107,7 +108,7 @@ def test_damaged_folders(tmp_path: Path, damage: Any, named: str) -> None:
     run = make_run(tmp_path / "run", metrics={"ape_rmse_m": 1.0})
     damage(run)
     with pytest.raises(DataError) as caught:
-        frame.find_runs([tmp_path])
+        stored.find_runs([tmp_path])
     message = str(caught.value)
     assert str(run) in message and named in message
     assert len(message.splitlines()) == 1
@@ -122,7 +123,7 @@ def test_paths_without_runs(tmp_path: Path) -> None:
         (tmp_path / "file", "holds no run"),
     ):
         with pytest.raises(DataError, match=why) as caught:
-            frame.find_runs([path])
+            stored.find_runs([path])
         assert str(path) in str(caught.value)
 
 
@@ -130,48 +131,53 @@ def test_paths_without_runs(tmp_path: Path) -> None:
 
 
 def test_a_failed_run_has_no_numbers(tmp_path: Path) -> None:
-    row = frame.row(frame.read_run(make_run(tmp_path / "bad")))
+    row = frame.row(stored.read_run(make_run(tmp_path / "bad")))
     assert (row["status"], row["reason"]) == ("failed", "RuntimeError: out of luck")
     for key in frame.FIRST[frame.FIRST.index("coverage") :]:
         assert row[key] is None, key
 
 
 def test_a_run_that_was_killed_or_goes_on(tmp_path: Path) -> None:
-    run = frame.read_run(make_run(tmp_path / "on", status="started", reason=None))
+    run = stored.read_run(make_run(tmp_path / "on", status="started", reason=None))
     assert not run.done and frame.row(run)["status"] == "started"
 
 
 def test_columns_of_a_frame_do_not_depend_on_the_first_run(tmp_path: Path) -> None:
     make_run(tmp_path / "a")
     make_run(tmp_path / "b", metrics={"ape_rmse_m": 2.0, "own_metric": 3.0})
-    table = frame.frame(frame.find_runs([tmp_path]))
+    table = frame.frame(stored.find_runs([tmp_path]))
     assert [c for c in table if c in ASKED_FOR] == ASKED_FOR
     assert list(table)[-2:] == ["own_metric", "reason"]
     assert table["own_metric"].isna().tolist() == [True, False]
 
 
-def test_settings_without_a_column_of_their_own(tmp_path: Path) -> None:
-    shown = frame.selector_settings
-    assert shown({"_target_": "x", **RBTM}) == ""
-    assert shown({**RBTM, "fallback": "skip"}) == "fallback=skip"
-    assert shown({"gap": 30}) == "gap=30"
-    keyframes = {"content": "keyframes", "keyframe_distance": 0.3, "keyframe_angle_deg": 15.0}
-    assert shown(keyframes) == "content=keyframes keyframe_distance=0.3 keyframe_angle_deg=15"
-    assert "keyframe" not in shown({**keyframes, "content": "scans"})
+def test_a_row_is_labelled_by_what_differs_in_the_table(tmp_path: Path) -> None:
+    every = {**RBTM, "fallback": "skip", "restart_after": None}
+    for name, fallback in (("a", "skip"), ("b", "skip"), ("c", "previous")):
+        settings = {**every, "fallback": fallback}
+        make_run(tmp_path / name, selector=settings, metrics={}, choices=chosen(selector="rbtm"))
+    same, both = stored.find_runs([tmp_path / "a", tmp_path / "b"]), stored.find_runs([tmp_path])
+    assert frame.frame(same)["settings"].tolist() == ["", ""]
+    rows = frame.frame(both).set_index("run")["settings"].to_dict()
+    assert rows == {"a": "fallback=skip", "b": "fallback=skip", "c": "fallback=previous"}
+
+
+def test_the_source_of_gaps_in_words(tmp_path: Path) -> None:
     make_run(tmp_path / "rbtm", selector=RBTM, metrics={}, choices=chosen(selector="rbtm"))
-    drawn = {"gaps_from": str(tmp_path / "rbtm"), "gaps": None, "seed": 0}
-    assert shown(drawn) == "gaps of rbtm window=8 threshold=0.5"
-    assert shown({"gaps_from": str(tmp_path / "moved away")}) == "gaps of moved away"
+    for folder, words in (("rbtm", "rbtm window=8 threshold=0.5"), ("moved away", "moved away")):
+        drawn = {"gaps_from": str(tmp_path / folder), "gaps": None, "seed": 0}
+        run = stored.read_run(make_run(tmp_path / f"of {folder}", selector=drawn, metrics={}))
+        assert frame.source_words(run) == words
 
 
 def test_rows_tell_what_differs(tmp_path: Path) -> None:
     for number, name in enumerate(("a.clf", "b.clf")):
         path = {"path": f"logs/{name}", "relations": f"logs/{number}.relations"}
         make_run(tmp_path / name, dataset=path, metrics={}, choices=chosen(dataset="carmen"))
-    table = frame.frame(frame.find_runs([tmp_path]))
+    table = frame.frame(stored.find_runs([tmp_path]))
     assert table["dataset"].tolist() == ["carmen", "carmen"]
     assert [("a.clf" in d, "b.clf" in d) for d in table["data"]] == [(True, False), (False, True)]
-    assert len(frame.over_seeds(frame.find_runs([tmp_path]))) == 2
+    assert len(frame.over_seeds(stored.find_runs([tmp_path]))) == 2
 
 
 # --- medians over seeds
@@ -181,7 +187,7 @@ def test_medians_by_hand(tmp_path: Path) -> None:
     for seed, error in enumerate((30.0, 10.0, 50.0, 20.0)):
         values = {"final_translation_error_mm": error, "registrations": 11, "mean_gap": None}
         make_run(tmp_path / f"run-{seed}", seed=seed, metrics=values)
-    (row,) = frame.over_seeds(frame.find_runs([tmp_path])).to_dict("records")
+    (row,) = frame.over_seeds(stored.find_runs([tmp_path])).to_dict("records")
     assert row["final_translation_error_mm"] == 25.0  # of 10, 20, 30, 50
     assert (row["seeds"], row["status"], row["registrations"]) == (4, "done", 11)
     assert row["mean_gap"] is None and row["reason"] is None
@@ -202,7 +208,7 @@ def test_methods_stay_apart_and_in_order(tmp_path: Path) -> None:
     method("a-rbtm", "open3d_p2p", 1.0, window=4)
     method("b-rbtm", "none", 2.0, window=4)
     method("c-rbtm", "open3d_p2p", 3.0, window=8)
-    table = frame.over_seeds(frame.find_runs([tmp_path]))
+    table = frame.over_seeds(stored.find_runs([tmp_path]))
     assert table["backend"].tolist() == ["open3d_p2p", "open3d_p2p", "none"]
     assert table["ape_rmse_m"].tolist() == [1.5, 3.5, 2.5]
     assert table["window"].tolist() == [4, 8, 4]
@@ -213,7 +219,7 @@ def test_failed_seeds_do_not_count_as_zero(tmp_path: Path) -> None:
     make_run(tmp_path / "a", seed=0)
     for seed, error in ((1, 4.0), (2, 8.0)):
         make_run(tmp_path / f"b{seed}", seed=seed, metrics={"ape_rmse_m": error, "own": 1.0})
-    (row,) = frame.over_seeds(frame.find_runs([tmp_path])).to_dict("records")
+    (row,) = frame.over_seeds(stored.find_runs([tmp_path])).to_dict("records")
     assert (row["ape_rmse_m"], row["seeds"], row["status"]) == (6.0, 3, "2 of 3 done")
     assert row["own"] == 1.0 and row["reason"] == "RuntimeError: out of luck"
 
@@ -221,7 +227,7 @@ def test_failed_seeds_do_not_count_as_zero(tmp_path: Path) -> None:
 def test_only_failed_seeds(tmp_path: Path) -> None:
     for seed in (0, 1):
         make_run(tmp_path / str(seed), seed=seed)
-    (row,) = frame.over_seeds(frame.find_runs([tmp_path])).to_dict("records")
+    (row,) = frame.over_seeds(stored.find_runs([tmp_path])).to_dict("records")
     assert row["status"] == "0 of 2 done" and row["ape_rmse_m"] is None
 
 
@@ -235,7 +241,7 @@ def test_random_gap_runs_of_different_sources_are_different_methods(tmp_path: Pa
             folder = tmp_path / f"random-{window}-{seed}"
             picked = chosen(selector="random_gap")
             make_run(folder, seed=seed, selector=drawn, metrics={}, choices=picked)
-    table = frame.over_seeds(frame.find_runs([tmp_path]))
+    table = frame.over_seeds(stored.find_runs([tmp_path]))
     drawn_rows = table[table["selector"] == "random_gap"]
     assert sorted(drawn_rows["settings"]) == [
         "gaps of rbtm window=4 threshold=0.5",

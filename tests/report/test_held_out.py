@@ -12,8 +12,9 @@ import pytest
 from stat_helpers import MEAN, MM, check_latex, make_log, make_run, make_seeds, shown
 
 from rbtm_bench.core.errors import ConfigError
-from rbtm_bench.report import frame, held_out, paired, with_intervals
+from rbtm_bench.report import held_out, paired, with_intervals
 from rbtm_bench.report.frame import MethodRuns
+from rbtm_bench.runs import stored
 
 Errors = Mapping[str, float | None]
 """By data set; None: the run failed."""
@@ -44,7 +45,7 @@ def rows_of(chosen: list[MethodRuns]) -> dict[tuple[str, str], dict[str, Any]]:
 
 
 def left_out(folder: Path) -> dict[tuple[str, str], dict[str, Any]]:
-    return rows_of(held_out.leave_one_out(frame.find_runs([folder])))
+    return rows_of(held_out.leave_one_out(stored.find_runs([folder])))
 
 
 def settings_of(rows: Mapping[tuple[str, str], dict[str, Any]]) -> dict[str, Any]:
@@ -94,7 +95,7 @@ def test_every_backend_and_selector_chooses_for_itself(tmp_path: Path) -> None:
         errors = {gap: dict.fromkeys("ab", 1.0 if gap == better else 3.0) for gap in (2, 5)}
         make_places(tmp_path, "fixed_gap", errors, backend=backend)
         make_places(tmp_path, "previous", {None: dict.fromkeys("ab", 7.0)}, backend=backend)
-    found = held_out.leave_one_out(frame.find_runs([tmp_path]))
+    found = held_out.leave_one_out(stored.find_runs([tmp_path]))
     known = [(m.row["data"][-1], m.row["backend"], m.row["selector"]) for m in found]
     assert sorted(known) == sorted(
         (p, b, s) for p in "ab" for b in ("p2p", "gicp") for s in ("fixed_gap", "previous")
@@ -145,7 +146,7 @@ def test_no_error_at_all_is_the_best_there_is(tmp_path: Path) -> None:
 def test_settings_that_not_all_data_have_are_left_out(tmp_path: Path) -> None:
     make_places(tmp_path, "fixed_gap", {2: {"a": 1.0, "b": 1.0}, 5: {"a": 1.0, "b": 9.0},
                                         9: {"a": 0.1}})  # fmt: skip
-    found = held_out.leave_one_out(frame.find_runs([tmp_path]))
+    found = held_out.leave_one_out(stored.find_runs([tmp_path]))
     row = rows_of(found)["a", "fixed_gap"]
     assert (row["settings"], row["tried"], row["left_out"]) == ("gap=2", 2, 1)
     assert "1 setting was left out: not run on all of the data" in held_out.notes(found)
@@ -154,7 +155,7 @@ def test_settings_that_not_all_data_have_are_left_out(tmp_path: Path) -> None:
 def test_without_numbers_elsewhere_no_setting_is_named(tmp_path: Path) -> None:
     lost: dict[int, Errors] = {2: {"a": 1.0, "b": None}, 5: {"a": 2.0, "b": None}}
     make_places(tmp_path, "fixed_gap", lost)
-    found = held_out.leave_one_out(frame.find_runs([tmp_path]))
+    found = held_out.leave_one_out(stored.find_runs([tmp_path]))
     row = rows_of(found)["a", "fixed_gap"]
     assert (row["status"], row["settings"], row["n"], row.get(MM)) == ("no choice", "", 0, None)
     assert (row["tried"], row["backend"]) == (2, "p2p")
@@ -175,13 +176,13 @@ def test_files_are_told_by_their_names_and_many_by_their_number(tmp_path: Path) 
             data = {"path": f"/far/away/{log}.clf.gz"}
             run = {"data": data, "dataset": "carmen", "fingerprint": log, "gap": gap}
             make_run(tmp_path / f"{log}{gap}", "fixed_gap", {MEAN: 1.0 * gap}, **run)
-    found = held_out.leave_one_out(frame.find_runs([tmp_path]))
+    found = held_out.leave_one_out(stored.find_runs([tmp_path]))
     assert {m.row["chosen_on"] for m in found} == {"4 other data sets"}
     for log in "de":
         for gap in (2, 5):
             for file in (tmp_path / f"{log}{gap}").iterdir():
                 file.unlink()
-    found = held_out.leave_one_out(frame.find_runs([tmp_path]))
+    found = held_out.leave_one_out(stored.find_runs([tmp_path]))
     assert found[0].row["chosen_on"] == "b.clf.gz, c.clf.gz"
 
 
@@ -204,7 +205,7 @@ def seeds(tmp_path: Path) -> Path:
 
 
 def test_seeds_that_choose_are_not_shown(seeds: Path) -> None:
-    found = held_out.choose_on(frame.find_runs([seeds]), "seed", ["6", "7"])
+    found = held_out.choose_on(stored.find_runs([seeds]), "seed", ["6", "7"])
     rows = rows_of(found)
     assert {key: row["settings"] for key, row in rows.items() if key[1] == "fixed_gap"} == {
         ("a", "fixed_gap"): "gap=5", ("b", "fixed_gap"): "gap=2"
@@ -217,7 +218,7 @@ def test_seeds_that_choose_are_not_shown(seeds: Path) -> None:
 
 
 def test_one_place_chooses_for_the_others(seeds: Path) -> None:
-    runs = frame.find_runs([seeds])
+    runs = stored.find_runs([seeds])
     for key in ("dataset.environment", "environment"):
         found = held_out.choose_on(runs, key, ["a"])
         assert {m.row["data"][-1] for m in found} == {"b"}
@@ -229,7 +230,7 @@ def test_one_place_chooses_for_the_others(seeds: Path) -> None:
 def test_a_missing_seed_counts_as_failed(tmp_path: Path) -> None:
     make_seeds(tmp_path / "2", "fixed_gap", [5.0, 1.0], gap=2)
     make_seeds(tmp_path / "5", "fixed_gap", [5.0, 2.0, 2.0], gap=5)
-    (method,) = held_out.choose_on(frame.find_runs([tmp_path]), "seed", ["1", "2"])
+    (method,) = held_out.choose_on(stored.find_runs([tmp_path]), "seed", ["1", "2"])
     assert method.row["settings"] == "gap=5"
 
 
@@ -246,7 +247,7 @@ def test_a_missing_seed_counts_as_failed(tmp_path: Path) -> None:
 )
 def test_mistakes_are_named(seeds: Path, word: str, why: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        held_out.choose_on(frame.find_runs([seeds]), *held_out.parse(word))
+        held_out.choose_on(stored.find_runs([seeds]), *held_out.parse(word))
     assert why in str(caught.value)
 
 
@@ -254,7 +255,7 @@ def test_mistakes_are_named(seeds: Path, word: str, why: str) -> None:
 
 
 def test_held_out_rows_are_paired(seeds: Path) -> None:
-    runs = frame.find_runs([seeds])
+    runs = stored.find_runs([seeds])
     found = held_out.choose_on(runs, "seed", ["6", "7"])
     table = paired.against(runs, "previous", found=found)
     assert len(table) == 2 and set(table["difference"]) == {-1.0}  # 9 + s minus 10 + s
@@ -271,7 +272,7 @@ def test_held_out_rows_are_paired(seeds: Path) -> None:
 
 
 def test_pooled_over_places_whatever_their_settings(seeds: Path) -> None:
-    runs = frame.find_runs([seeds])
+    runs = stored.find_runs([seeds])
     found = held_out.pooled(held_out.choose_on(runs, "seed", ["6", "7"]))
     rows = {m.row["selector"]: m.row for m in found}
     assert rows["fixed_gap"]["data"] == "corridor (2 pooled)"
@@ -289,7 +290,7 @@ def test_pooled_over_places_whatever_their_settings(seeds: Path) -> None:
 def test_tries_are_told(tmp_path: Path) -> None:
     make_places(tmp_path, "fixed_gap", {g: dict.fromkeys("ab", 1.0 * g) for g in (2, 5)})
     make_places(tmp_path, "previous", {None: dict.fromkeys("ab", 7.0)})
-    found = held_out.leave_one_out(frame.find_runs([tmp_path]))
+    found = held_out.leave_one_out(stored.find_runs([tmp_path]))
     rule, tries = held_out.notes(found)
     assert "least mean logarithm of the main error" in rule and "failed run" in rule
     assert tries == "fixed_gap had 2 settings to choose from, previous 1: not an equal chance"
@@ -333,7 +334,7 @@ def test_relations_of_a_log_keep_their_clusters(tmp_path: Path) -> None:
         make_log(tmp_path / f"{log}p", "previous", [2, 3, 4, 5, 6, 7], **more)
         for gap, errors in ((2, [1, 2, 3, 4, 5, 6]), (5, [9] * 6)):
             make_log(tmp_path / f"{log}{gap}", "fixed_gap", errors, gap=gap, **more)
-    runs = frame.find_runs([tmp_path])
+    runs = stored.find_runs([tmp_path])
     found = held_out.leave_one_out(runs)
     assert {m.row["settings"] for m in found} == {"", "gap=2"}
     table = paired.against(runs, "previous", found=found)
@@ -360,6 +361,6 @@ def test_mistakes_on_the_command_line(seeds: Path, words: list[str], why: str, c
 def test_the_data_shown_cannot_choose(tmp_path: Path) -> None:
     for seed in (0, 1):  # a log has no seeds: the same data twice
         make_run(tmp_path / f"r{seed}", "random_gap", {MM: 1.0}, seed=seed, fingerprint="log")
-    runs = frame.find_runs([tmp_path])
+    runs = stored.find_runs([tmp_path])
     with pytest.raises(ConfigError, match=r"chosen on the very data of r0.*seed changes nothing"):
         held_out.choose_on(runs, "seed", ["1"])

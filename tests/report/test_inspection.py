@@ -14,7 +14,8 @@ from sweep_helpers import call, edit
 
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.trajectory import Trajectory
-from rbtm_bench.report import frame, inspection
+from rbtm_bench.report import inspection
+from rbtm_bench.runs import stored
 
 SELECTORS = "selector=previous,rbtm,random_gap"
 GRID = ("backend=none", SELECTORS, "dataset.scans=12", "seed=7", "pictures=false")
@@ -84,7 +85,7 @@ def test_show_tells_all_on_a_screen(compared: Path) -> None:
 
 @pytest.mark.parametrize("name", ["none-rbtm", "none-random_gap"])
 def test_the_command_shown_repeats_the_run(compared: Path, tmp_path: Path, name: str) -> None:
-    run = frame.read_run(compared / "a" / name)
+    run = stored.read_run(compared / "a" / name)
     program, command, *words = shlex.split(inspection.again(run))
     assert (program, command) == ("rbtm-bench", "run")
     code, _, err = call("run", *words, f"out={tmp_path / 'again'}")
@@ -97,18 +98,18 @@ def test_folders_of_plug_ins_go_with_the_command(tmp_path: Path) -> None:
     path = make_run(tmp_path / "run", "mine", {})
     command = "rbtm-bench compare selector=mine,previous --config-dir '/my configs' out=x"
     edit(path / "run.json", command=command, overrides=["selector=mine", "seed=1", "out=x"])
-    again = inspection.again(frame.read_run(path))
+    again = inspection.again(stored.read_run(path))
     assert again == "rbtm-bench run selector=mine seed=1 --config-dir '/my configs'"
 
 
 def test_a_failed_run_and_one_without_much(tmp_path: Path) -> None:
     path = make_run(tmp_path / "run", "previous", None)
     edit(path / "run.json", reason="time limit of 5 s", finished="today")
-    out = inspection.shown(frame.read_run(path))
+    out = inspection.shown(stored.read_run(path))
     assert out.startswith(f"{path}: failed, today: time limit of 5 s (more in run.json)")
     assert "results" not in out.splitlines() and "run.json" in out.splitlines()[-1]
     edit(path / "run.json", status="started", started="yesterday")
-    assert "started, yesterday, never ended" in inspection.shown(frame.read_run(path))
+    assert "started, yesterday, never ended" in inspection.shown(stored.read_run(path))
 
 
 # --- diff
@@ -145,7 +146,7 @@ def test_every_section_by_hand(tmp_path: Path) -> None:
     edit(b / "run.json", versions={"numpy": "2.1", "scipy": "1.1"}, git="abc", host="two")
     edit(a / "run.json", dataset_fingerprint="0123456789abcdef")
     edit(b / "run.json", dataset_fingerprint="fedcba9876543210")
-    found = inspection.compared(frame.read_run(a), frame.read_run(b))
+    found = inspection.compared(stored.read_run(a), stored.read_run(b))
     assert found.sections == {
         "settings": [
             "dataset.seed     0 -> 3",
@@ -166,7 +167,7 @@ def test_what_changes_no_number_does_not_count(tmp_path: Path) -> None:
     for path, more in ((a, "time_limit: 5\npairs: {store: off}"), (b, "map_resolution: 0.1")):
         with open(path / "config.yaml", "a") as file:
             file.write(more + "\nregistration: {voxel_size: 0.1}\n" if path == a else more + "\n")
-    found = inspection.compared(frame.read_run(a), frame.read_run(b))
+    found = inspection.compared(stored.read_run(a), stored.read_run(b))
     assert found.equal and found.aside == ["ms_per_scan  2 -> 4  (x 2)", "reused       0 -> -"]
 
 
@@ -174,7 +175,7 @@ def test_the_last_bit_counts_and_shows(tmp_path: Path) -> None:
     third = 1 / 3
     a = make_run(tmp_path / "a", "rbtm", {MM: third})
     b = make_run(tmp_path / "b", "rbtm", {MM: float(np.nextafter(third, 1))})
-    found = inspection.compared(frame.read_run(a), frame.read_run(b))
+    found = inspection.compared(stored.read_run(a), stored.read_run(b))
     assert not found.equal
     assert "0.3333333333333333 -> 0.33333333333333337" in found.sections["results"][0]
 
@@ -186,7 +187,7 @@ def test_where_trajectories_part(tmp_path: Path) -> None:
     other[3:, 0, 3] = 0.5
     for path, poses in zip(paths, (T, other, T[:4]), strict=True):
         Trajectory(np.arange(len(poses), dtype=float), poses).write_tum(path / "trajectory.tum")
-    runs = [frame.read_run(path) for path in paths]
+    runs = [stored.read_run(path) for path in paths]
     found = inspection.compared(runs[0], runs[1]).sections["results"]
     assert found == ["trajectory  from scan 3 on, at most 0.5 m and 0 deg apart"]
     assert inspection.compared(runs[0], runs[2]).sections["results"] == ["trajectory  6 -> 4 poses"]
@@ -195,7 +196,7 @@ def test_where_trajectories_part(tmp_path: Path) -> None:
 
 def test_a_failed_run_differs_in_its_status(tmp_path: Path) -> None:
     a, b = (make_run(tmp_path / n, "rbtm", m) for n, m in (("a", {MM: 1.0}), ("b", None)))
-    found = inspection.compared(frame.read_run(a), frame.read_run(b))
+    found = inspection.compared(stored.read_run(a), stored.read_run(b))
     assert found.sections["results"] == ["status  done -> failed", f"{MM}  1 -> -"]
 
 

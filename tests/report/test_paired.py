@@ -12,7 +12,8 @@ import pytest
 from stat_helpers import LONG, MEAN, MM, check_latex, make_log, make_run, make_seeds, shown
 
 from rbtm_bench.core.errors import ConfigError
-from rbtm_bench.report import frame, paired
+from rbtm_bench.report import paired
+from rbtm_bench.runs import stored
 
 REFERENCE = [10, 20, 30, 40, 50, 60]
 LESS = [7, 19, 24, 38, 45, 56]
@@ -20,7 +21,7 @@ LESS = [7, 19, 24, 38, 45, 56]
 
 
 def rows_of(folder: Path, reference: str, **options: Any) -> list[dict[str, Any]]:
-    table = paired.against(frame.find_runs([folder]), reference, **options)
+    table = paired.against(stored.find_runs([folder]), reference, **options)
     return table.astype(object).where(table.notna(), None).to_dict(orient="records")
 
 
@@ -61,7 +62,7 @@ def test_with_five_data_sets_nothing_is_called_better(tmp_path: Path) -> None:
     (row,) = rows_of(tmp_path, "previous")
     assert (row["p"], row["p_holm"], row["holds"]) == (None, None, "")
     assert difference(row) == (-29.0, -49.0, -9.0, 5)
-    lines = paired.notes(paired.against(frame.find_runs([tmp_path]), "previous"))
+    lines = paired.notes(paired.against(stored.find_runs([tmp_path]), "previous"))
     assert lines[1] == (
         "no test, and nothing called better, on fewer than 6 independent data sets (a log is one)"
     )
@@ -83,7 +84,7 @@ def test_data_without_the_reference_stay_in_the_table(tmp_path: Path) -> None:
     found = {(row["data"][-5:], row["selector"]): row for row in rows}
     assert set(found) == {("paper", "rbtm"), ("=bare", "rbtm"), ("=bare", "oldest")}
     assert found["=bare", "rbtm"]["difference"] is None and found["=bare", "rbtm"]["holds"] == ""
-    table = paired.against(frame.find_runs([tmp_path]), "previous")
+    table = paired.against(stored.find_runs([tmp_path]), "previous")
     assert "no difference where the reference, or a number of it, is missing" in paired.notes(table)
     make_seeds(tmp_path / "x", "keyframe", [1.0], data={"environment": "hall"})
     with pytest.raises(ConfigError, match="no other method has a number on the same data"):
@@ -113,7 +114,7 @@ def test_who_failed_on_a_seed_is_not_called_better(tmp_path: Path) -> None:
     make_seeds(tmp_path, "rbtm", [*LESS, None], window=4)
     (row,) = rows_of(tmp_path, "previous")
     assert (row["p_holm"], row["holds"], row["status"]) == (2 / 64, "", "6 of 7 done")
-    table = paired.against(frame.find_runs([tmp_path]), "previous")
+    table = paired.against(stored.find_runs([tmp_path]), "previous")
     assert "a run failed is not called better" in paired.notes(table)[-1]
     (row,) = rows_of(tmp_path, "rbtm")  # nor does the other lose by it
     assert row["holds"] == ""

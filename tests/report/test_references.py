@@ -13,8 +13,9 @@ import pandas as pd
 import pytest
 
 from rbtm_bench.cli.commands import main
-from rbtm_bench.report import frame, tables
+from rbtm_bench.report import tables
 from rbtm_bench.report.references import accompanied, judged, with_references
+from rbtm_bench.runs import stored
 
 
 @pytest.fixture
@@ -166,5 +167,5 @@ def test_a_comparison_in_the_bare_corridor(
         assert found["(no motion)"] < found["(truth)"]
         stuck = next(key for key in rows if "identity" in key)
         assert found[stuck] == found["(no motion)"]
-    runs = frame.find_runs([out])
+    runs = stored.find_runs([out])
     assert len(runs) == 2 and all("map_cells_still" in run.metrics for run in runs)

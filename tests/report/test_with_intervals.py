@@ -13,11 +13,12 @@ import pytest
 from stat_helpers import LONG, MEAN, MM, check_latex, make_log, make_run, make_seeds, shown
 
 from rbtm_bench.cli.commands import main
-from rbtm_bench.report import frame, tables, with_intervals
+from rbtm_bench.report import tables, with_intervals
+from rbtm_bench.runs import stored
 
 
 def rows_of(*folders: Path, **options: Any) -> list[dict[str, Any]]:
-    table = with_intervals.intervals(frame.find_runs(folders), **options)
+    table = with_intervals.intervals(stored.find_runs(folders), **options)
     return table.astype(object).where(table.notna(), None).to_dict(orient="records")
 
 
@@ -187,7 +188,7 @@ def test_readers_get_folded_cells(runs: Path, capsys: Any, fmt: str) -> None:
 def test_too_few_is_said(tmp_path: Path) -> None:
     make_seeds(tmp_path, "previous", [1, 2, 3, 4])
     make_seeds(tmp_path, "rbtm", [1, 2], window=4)
-    table = with_intervals.intervals(frame.find_runs([tmp_path]))
+    table = with_intervals.intervals(stored.find_runs([tmp_path]))
     lines = with_intervals.notes(table, "median")
     assert "at most 88% with 4" in lines[1] and "no interval of fewer than 3" in lines[2]
     assert with_intervals.folded(table)[MM].tolist() == ["2.5 [1, 4] (4)", "1.5 (2)"]

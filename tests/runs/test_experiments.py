@@ -10,7 +10,7 @@ import pytest
 
 from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError
-from rbtm_bench.engine.hydra_sweep import Plan
+from rbtm_bench.engine.hydra_sweep import SweepPlan
 from rbtm_bench.runs.settings import compose_settings, config_dir
 
 FOLDER = config_dir() / "experiment"
@@ -26,8 +26,8 @@ NEEDED = {"aces_backends": ["dataset.path=aces.clf.gz"]}
 """What an experiment leaves to its user."""
 
 
-def plan(name: str, *words: str) -> Plan:
-    return Plan.of([f"+experiment={name}", *NEEDED.get(name, []), *words], ())
+def plan(name: str, *words: str) -> SweepPlan:
+    return SweepPlan.of([f"+experiment={name}", *NEEDED.get(name, []), *words], ())
 
 
 def rows(out: Path) -> list[dict[str, str]]:
@@ -69,7 +69,7 @@ def test_table1_has_a_row_for_every_way_with_settings_of_its_own() -> None:
 
 def test_aces_backends_wants_a_log() -> None:
     with pytest.raises(ConfigError, match=r"^dataset\.path is not set"):
-        Plan.of(["+experiment=aces_backends"], ())
+        SweepPlan.of(["+experiment=aces_backends"], ())
 
 
 def test_an_unknown_experiment_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
@@ -132,9 +132,9 @@ def test_zipped_values_move_together(tmp_path: Path) -> None:
 def test_zipped_values_are_checked() -> None:
     points = "+point={window:4,threshold:0.9},{window:16,threshold:1.8}"
     with pytest.raises(ConfigError, match=r"^selector\.threshold=1\.8:"):
-        Plan.of([points, *ZIPPED[1:]], ())
+        SweepPlan.of([points, *ZIPPED[1:]], ())
 
 
 def test_zipped_values_must_all_be_there() -> None:
     with pytest.raises(ConfigError, match="window"):
-        Plan.of(["+point={threshold:0.9},{window:16}", *ZIPPED[1:]], ())
+        SweepPlan.of(["+point={threshold:0.9},{window:16}", *ZIPPED[1:]], ())

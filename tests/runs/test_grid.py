@@ -119,7 +119,6 @@ def test_a_key_of_one_member_only_multiplies_that_one() -> None:
         ("backend=[none,kiss_icp]", "backend=[none,kiss_icp]: expected the name"),
         ("+seed=1,2", "+seed=1,2: a list of values cannot be added"),
         ("out=a,b", "out=a,b: a comparison has one value of out"),
-        ("pin=true,false", "pin=true,false: a comparison has one value"),
         ("selector.threshold=interval(0,1)", "selector.threshold=interval(0,1): "),
         ("dataset=carmen", "dataset.path is not set"),
         ("dataset.path=a=b", "dataset.path=a=b: cannot be read"),

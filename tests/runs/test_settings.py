@@ -7,16 +7,10 @@ from pathlib import Path
 import pytest
 
 from rbtm_bench.core.errors import ConfigError
-from rbtm_bench.runs.settings import (
-    GROUPS,
-    compose_settings,
-    config_dir,
-    locate,
-    member_nodes,
-    members,
-    shown,
-    suggestion,
-)
+from rbtm_bench.core.wording import shown, suggestion
+from rbtm_bench.runs.declared import GROUPS
+from rbtm_bench.runs.plugins import locate
+from rbtm_bench.runs.settings import compose_settings, config_dir, member_nodes, members
 
 PLUGIN = """
 from __future__ import annotations

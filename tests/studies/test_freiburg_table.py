@@ -16,7 +16,7 @@ from stat_helpers import make_log
 
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.metrics.relation_errors import RelationErrors
-from rbtm_bench.report.frame import find_runs, read_run
+from rbtm_bench.runs.stored import find_runs, read_run
 from rbtm_bench.studies.freiburg import command, numbers, plan, words
 
 BACKEND = "small_gicp_icp"

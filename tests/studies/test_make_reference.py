@@ -11,7 +11,7 @@ import pytest
 from sweep_helpers import TESTS
 
 from rbtm_bench.core.trajectory import Trajectory
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 from rbtm_bench.studies import reference
 
 REFERENCE = TESTS.parent / "results" / "reference"

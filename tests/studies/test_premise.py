@@ -14,7 +14,7 @@ import pytest
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.geometry import se2
 from rbtm_bench.core.types import Array
-from rbtm_bench.report.frame import read_run
+from rbtm_bench.runs.stored import read_run
 from rbtm_bench.studies.premise import areas as similarity_areas
 from rbtm_bench.studies.premise import command, numbers, plan
 

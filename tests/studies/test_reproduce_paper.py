@@ -15,7 +15,7 @@ import pytest
 
 from rbtm_bench.datasets.environments import PAPER
 from rbtm_bench.plots import paper, ratios, style
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 from rbtm_bench.studies.paper import command, findings, plan, tables
 
 BACKENDS = ("open3d_p2p", "ndt_2d")

@@ -24,8 +24,8 @@ from rbtm_bench.cli.commands import guarded
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.files import make_folder, write_text
 from rbtm_bench.engine import drive, sweep_folder
-from rbtm_bench.report import frame
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs import stored
+from rbtm_bench.runs.stored import Run
 from rbtm_bench.studies.campaign import Campaign, begin
 from rbtm_bench.studies.freiburg import numbers
 from rbtm_bench.studies.freiburg.plan import NOTHING, SLOW, SYSTEM, Plan, find_logs, make_size
@@ -54,7 +54,7 @@ def read_runs(plan: Plan, folder: Path) -> list[Run]:
     missing = [p.name for p in points if not (folder / p.name / "run.json").is_file()]
     if missing:
         raise DataError(f"{folder}: {len(missing)} runs are not there yet, e.g. {missing[0]}")
-    return [frame.read_run(folder / point.name) for point in points]
+    return [stored.read_run(folder / point.name) for point in points]
 
 
 def write(found: Found, page: str, out: Path) -> list[Path]:

@@ -12,9 +12,10 @@ import pandas as pd
 
 from rbtm_bench.metrics.relation_errors import FILE, RelationErrors
 from rbtm_bench.report import frame, held_out, intervals
-from rbtm_bench.report.frame import MethodRuns, Run
+from rbtm_bench.report.frame import MethodRuns
 from rbtm_bench.report.intervals import Interval
 from rbtm_bench.report.units import Units
+from rbtm_bench.runs.stored import Run
 from rbtm_bench.studies.freiburg.plan import LOGS, NOTHING, OF_SYSTEM, SYSTEM, WAYS
 
 ERRORS = {

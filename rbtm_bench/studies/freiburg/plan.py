@@ -9,8 +9,9 @@ from pathlib import Path
 
 from rbtm_bench.cli.installed import planar_backends
 from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.wording import shown
 from rbtm_bench.runs.grid import Point, make_points
-from rbtm_bench.runs.settings import Settings, shown
+from rbtm_bench.runs.settings import Settings
 
 LOGS = {"aces": "ACES", "intel": "Intel", "mit-csail": "MIT CSAIL"}
 """File names without their end, and what tables call them."""

@@ -16,7 +16,7 @@ from rbtm_bench.datasets.environments import PAPER
 from rbtm_bench.plots import maps, paper, style
 from rbtm_bench.plots import ratios as ratio_plots
 from rbtm_bench.plots.folder import read_scene, read_similarity, read_steps
-from rbtm_bench.report.frame import Run
+from rbtm_bench.runs.stored import Run
 from rbtm_bench.selection.rbtm import Rbtm
 from rbtm_bench.similarity.curvature import Curvature
 from rbtm_bench.similarity.curvature_circular import CurvatureCircular

@@ -13,8 +13,8 @@ from tabulate import tabulate
 
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.report import intervals
-from rbtm_bench.report.frame import Run, read_run
 from rbtm_bench.report.intervals import Interval
+from rbtm_bench.runs.stored import Run, read_run
 from rbtm_bench.studies.paper.plan import PAPER_BACKEND, RATIO, Size, stem_of
 from rbtm_bench.studies.paper.ways import NAMES, Way
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from rbtm_bench.runs.settings import shown
+from rbtm_bench.core.wording import shown
 
 PATH_CM = 180.0
 """The paper's path."""

@@ -23,8 +23,8 @@ from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array
 from rbtm_bench.metrics.relation_errors import FILE, RelationErrors
 from rbtm_bench.report import intervals
-from rbtm_bench.report.frame import Run, read_run
 from rbtm_bench.report.intervals import Interval
+from rbtm_bench.runs.stored import Run, read_run
 from rbtm_bench.studies.premise.plan import (
     BOUNDS,
     CHANCE,

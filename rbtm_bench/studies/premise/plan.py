@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.wording import shown
 from rbtm_bench.runs.grid import Point, make_points
-from rbtm_bench.runs.settings import Settings, shown
+from rbtm_bench.runs.settings import Settings
 from rbtm_bench.studies.campaign import with_value
 from rbtm_bench.studies.freiburg.plan import LOG_ENDS, LOGS, find_logs
 

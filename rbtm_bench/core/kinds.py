@@ -1,0 +1,32 @@
+"""What kind of setting a setting is: declared where it is declared, asked by ``runs.identity``.
+
+A plug-in's parameter is always WHAT (a data set's: DATA), whatever it is called, unless its
+annotation says otherwise::
+
+    def __init__(self, seed: Seed = 0, gaps_from: OtherRun = None) -> None: ...
+
+or its config takes the run's own seed over (``seed: ${seed}``).
+"""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import Annotated
+
+from annotated_types import Ge
+
+
+class Kind(Enum):
+    """The kinds. Two runs are the same if they agree in WHAT, DATA and SEED; replicates of one
+    method if they differ in SEED alone."""
+
+    WHAT = "what is computed"
+    DATA = "on which data"
+    SEED = "seed"
+    HOW = "how it is executed, or what it leaves"
+    FEED = "a value that plug-ins take over, where it counts"
+    OTHER_RUN = "the folder of another run"
+
+
+Seed = Annotated[int, Ge(0), Kind.SEED]
+OtherRun = Annotated[str | None, Kind.OTHER_RUN]

@@ -1,0 +1,55 @@
+"""The settings outside every plug-in, declared once (name, type, kind), and the groups."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal, NamedTuple
+
+from annotated_types import Gt, Lt
+from typing_extensions import TypedDict
+
+from rbtm_bench.core.kinds import Kind, Seed
+
+PLUGIN_GROUPS = ("dataset", "backend", "similarity", "selector", "guess", "check", "target")
+GROUPS = (*PLUGIN_GROUPS, "metrics")
+FOR_PAIRS = ("similarity", "selector", "guess", "check", "target", "guess_along_degenerate")
+"""The groups and settings that a backend which is a whole system does without."""
+
+
+class Pairs(TypedDict):
+    """The settings of ``pairs``."""
+
+    store: Literal["off", "shared", "per_worker"]
+    folder: str | None
+    memory_mb: Annotated[float, Gt(0)]
+
+
+class Shared(NamedTuple):
+    """A setting outside every group: its type (None: not checked here) and its kind."""
+
+    type: Any
+    kind: Kind
+
+
+SHARED = {
+    "seed": Shared(Seed, Kind.SEED),
+    "out": Shared(str | None, Kind.HOW),
+    "overwrite": Shared(bool, Kind.HOW),
+    "pictures": Shared(bool, Kind.HOW),
+    "pairs": Shared(Pairs, Kind.HOW),
+    "pin": Shared(bool, Kind.HOW),
+    "time_limit": Shared(Annotated[float, Gt(0)] | None, Kind.HOW),
+    "map_resolution": Shared(Annotated[float, Gt(0)], Kind.HOW),
+    "guess_along_degenerate": Shared(Annotated[float, Gt(0), Lt(1)] | None, Kind.WHAT),
+    "registration": Shared(None, Kind.FEED),
+    "descriptor": Shared(None, Kind.FEED),
+}
+"""Every setting outside the groups. What stands in a config and not here is WHAT."""
+
+
+def kind_of(key: str) -> Kind:
+    """The kind of a dotted key, as far as its first word tells it (``identity.special`` knows the
+    plug-ins' own seeds and folders)."""
+    first = key.partition(".")[0]
+    if first in SHARED:
+        return SHARED[first].kind
+    return Kind.DATA if first == "dataset" else Kind.WHAT

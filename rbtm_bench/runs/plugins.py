@@ -1,0 +1,140 @@
+"""What a ``_target_`` names: looked up, and its values held against its annotations.
+
+Hydra does not check types or ranges: pydantic does, third-party plug-ins included.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import json
+import typing
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.wording import shown, suggestion
+
+
+def locate(name: str, target: str) -> Any:
+    """What ``_target_`` names: a class, or something in a class that makes one.
+
+    Raises ``ConfigError`` saying why it is not there, whatever its module raises.
+    """
+    *modules, attribute = target.split(".")
+    try:
+        found, rest = _import(modules)
+        for part in (*rest, attribute):
+            found = getattr(found, part)
+    except Exception as error:
+        known = isinstance(error, ImportError | AttributeError)
+        text = " ".join([*([] if known else [f"{type(error).__name__}:"]), *str(error).split()])
+        raise ConfigError(f"{name}: cannot load {target}: {text}") from error
+    if not callable(found):
+        raise ConfigError(f"{name}: cannot load {target}: not a class")
+    return found
+
+
+def _import(parts: list[str]) -> tuple[Any, list[str]]:
+    """The module that the longest possible start of a dotted name stands for, and the rest."""
+    if not parts:
+        raise ImportError("expected a dotted name such as package.module.Class")
+    for count in range(len(parts), 0, -1):
+        name = ".".join(parts[:count])
+        try:
+            return importlib.import_module(name), parts[count:]
+        except ModuleNotFoundError as error:
+            if count == 1 or error.name != name:
+                raise
+    raise AssertionError("a name of no parts")
+
+
+def constructor_parameters(name: str, target: str) -> dict[str, inspect.Parameter]:
+    """The constructor's parameters with evaluated annotations."""
+    cls = locate(name, target)
+    try:
+        signature = inspect.signature(cls)
+    except ValueError:  # written in C: it does not say what it takes
+        return {"kwargs": inspect.Parameter("kwargs", inspect.Parameter.VAR_KEYWORD)}
+    init = cls.__init__ if inspect.isclass(cls) else cls
+    try:
+        hints = typing.get_type_hints(init, include_extras=True)
+    except Exception:  # an annotation that only a type checker can look up
+        hints = {}
+    return {
+        key: parameter.replace(annotation=hints.get(key, Any))
+        for key, parameter in signature.parameters.items()
+    }
+
+
+def class_of(name: str, node: Any) -> type | None:
+    """The class that a plug-in's config node makes, None for a function that makes who knows what.
+
+    Raises ``ConfigError`` if it is not there.
+    """
+    made = locate(name, str(node["_target_"]))
+    made = made if inspect.isclass(made) else getattr(made, "__self__", None)
+    return made if inspect.isclass(made) else None
+
+
+def is_system(config: Any) -> bool:
+    """Whether the chosen backend is a ``System``, which needs nobody to choose model scans."""
+    from rbtm_bench.backends.system import System
+
+    node = config.get("backend") or {}
+    if "_target_" not in node:  # reported by whoever checks the backend
+        return False
+    made = class_of("backend", node)
+    return made is not None and issubclass(made, System)
+
+
+def check_node(name: str, node: Any) -> None:
+    """Check one plug-in's node: its class exists, it knows every key, and every value fits."""
+    if not isinstance(node, dict) or "_target_" not in node:
+        raise ConfigError(f"{name}: expected a config with a _target_, got {node!r}")
+    parameters = constructor_parameters(name, str(node["_target_"]))
+    given = {str(k): v for k, v in node.items() if not str(k).startswith("_")}
+    accepts_any = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
+    for key, value in given.items():
+        if key not in parameters:
+            if accepts_any:
+                continue
+            known = [k for k, p in parameters.items() if p.kind is not p.VAR_KEYWORD]
+            raise ConfigError(f"{name}.{key}: no such setting.{suggestion(key, known)}")
+        check_value(f"{name}.{key}", value, parameters[key].annotation)
+    if node.get("_partial_") or node.get("_args_"):
+        return
+    for key, parameter in parameters.items():
+        required = parameter.default is parameter.empty and parameter.kind not in (
+            parameter.VAR_KEYWORD,
+            parameter.VAR_POSITIONAL,
+        )
+        if required and key not in given:
+            raise ConfigError(f"{name}.{key} is not set: {node['_target_']} requires it")
+
+
+def check_value(name: str, value: Any, annotation: Any) -> None:
+    """One value against one annotation: no word or truth value may stand for a number.
+
+    Held against it as JSON, so that a list may stand for a tuple and a word for a path.
+    """
+    if isinstance(value, dict) and "_target_" in value:
+        check_node(name, value)
+        return
+    if annotation is Any or annotation is inspect.Parameter.empty:
+        return
+    if isinstance(value, float) and value != value:
+        raise ConfigError(f"{name}={value}: input should be a number")
+    try:
+        adapter: TypeAdapter[Any] = TypeAdapter(annotation)
+    except Exception:  # an annotation that pydantic has no schema for: nothing to check against
+        return
+    try:
+        adapter.validate_json(json.dumps(value, default=str), strict=True)
+    except ValidationError as error:
+        problems = dict.fromkeys(p["msg"][:1].lower() + p["msg"][1:] for p in error.errors())
+        text = " or ".join(list(problems)[:3])
+        if "valid string" in text:
+            text += f"; quote it: \"{name}='{shown(value)}'\""
+        raise ConfigError(f"{name}={shown(value)}: {text}") from error
