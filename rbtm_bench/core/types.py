@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from rbtm_bench.core.step_columns import STEPS
 
 Array = NDArray[np.float64]
 
@@ -125,52 +127,27 @@ class Edge:
     covariance: Array | None = None
 
 
-@dataclass
 class StepRecord:
-    """One row of ``steps.parquet``: how a scan found its pose. Times in s, distances in m.
+    """One row of ``steps.parquet``: how a scan got its pose. Its fields are the columns that
+    ``step_columns.STEPS`` declares, each with its default."""
 
-    ``status``: first (the start), registered, fallback (the fallback's registration), skipped
-    (no candidate, fallback "skip"), predicted (every candidate was rejected), unusable (the
-    backend could not prepare the scan). ``gap`` is scan - model in scans of the data set.
-    ``score`` is the similarity to the model scan, NaN if undefined or not asked for.
-    ``localizability`` holds the eigenvalues of ``Localizability``, smallest first (its smallest
-    also as ``localizability_min``), and ``weak_direction`` the eigenvector of the smallest: x, y,
-    rz or x, y, z, rx, ry, rz in the scan's frame. ``information`` is the method's own, row by
-    row; ``kept_guess`` counts the directions along which ``guess_along_degenerate`` kept the guess.
-    ``restart`` marks a scan that was registered to the one before although that had matched
-    nothing, because nothing had for too long.
-    """
+    __slots__ = tuple(column.name for column in STEPS)
 
-    scan: int
-    stamp: float
-    model: int | None = None
-    gap: int | None = None
-    score: float | None = None
-    candidates: int = 0
-    undefined_scores: int = 0
-    rejected: int = 0
-    registrations: int = 0
-    status: str = "first"
-    reason: str = ""
-    converged: bool | None = None
-    fitness: float | None = None
-    inlier_rmse_m: float | None = None
-    iterations: int | None = None
-    library_fitness: float | None = None
-    library_rmse_m: float | None = None
-    localizability_min: float | None = None
-    localizability: list[float] | None = None
-    weak_direction: list[float] | None = None
-    information: list[float] | None = None
-    kept_guess: int | None = None
-    restart: bool = False
-    reused: bool | None = None
-    t_prepare_s: float = 0.0
-    t_describe_s: float = 0.0
-    t_guess_s: float = 0.0
-    t_select_s: float = 0.0
-    t_register_s: float = 0.0
-    t_check_s: float = 0.0
+    def __init__(self, scan: int, stamp: float, **values: Any) -> None:
+        for column in STEPS:
+            setattr(self, column.name, values.pop(column.name, column.default))
+        if values:
+            raise TypeError(f"no such columns of a step: {', '.join(values)}")
+        self.scan, self.stamp = scan, stamp
+
+    if TYPE_CHECKING:  # the names stand in STEPS alone
+
+        def __getattr__(self, name: str) -> Any: ...
+        def __setattr__(self, name: str, value: Any) -> None: ...
+
+    def as_dict(self) -> dict[str, Any]:
+        """The row by column."""
+        return {name: getattr(self, name) for name in self.__slots__}
 
 
 @dataclass(frozen=True, eq=False)

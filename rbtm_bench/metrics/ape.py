@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from rbtm_bench.core.column import Column
+from rbtm_bench.core.columns import family
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Relations
@@ -13,8 +16,6 @@ from rbtm_bench.metrics.base import Metric, Values, paired
 
 RANK_TOLERANCE = 1e-12
 """Ratio of the second to the first singular value below which positions count as collinear."""
-
-_SOURCE = "evo.core.metrics.APE, translation part (Sturm et al. 2012)"
 
 
 class Ape(Metric):
@@ -26,11 +27,7 @@ class Ape(Metric):
     None.
     """
 
-    columns: ClassVar[dict[str, str]] = {
-        "ape_rmse_m": f"m; root mean square distance of the positions once aligned; {_SOURCE}",
-        "ape_mean_m": f"m; mean of the same distances; {_SOURCE}",
-        "ape_max_m": f"m; largest of the same distances; {_SOURCE}",
-    }
+    columns: ClassVar[Mapping[str, Column]] = family("ape")
 
     def __init__(self, align: Literal["none", "origin", "umeyama"] = "origin") -> None:
         self.align = align

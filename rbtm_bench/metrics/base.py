@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 
+from rbtm_bench.core.column import Column
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.trajectory import Mask, Trajectory, orthonormalised
 from rbtm_bench.core.types import Array
@@ -18,10 +20,6 @@ Values = dict[str, float | int | None]
 MIN_POSES = 2
 """Fewer poses hold no motion: with the first pose aligned every error would be a hollow 0."""
 
-REFERENCES = {"_truth": "truth", "_still": "no motion"}
-"""Ends of keys that hold the number of another trajectory than the estimate: of the truth, and of
-no motion at all. In a table they are rows of their own, not columns."""
-
 RIGID_TOLERANCE = 1e-6
 """How far from orthonormal a rotation may be once rounding errors are removed."""
 
@@ -29,11 +27,12 @@ RIGID_TOLERANCE = 1e-6
 class Metric(ABC):
     """A family of numbers about an estimated trajectory.
 
-    ``columns`` documents every key as "unit; definition; source" and is the list of keys:
-    ``evaluate`` gives all of them, always. A number that does not exist is None, never 0.
+    ``columns`` declares every key (ours: ``core.columns``; a plug-in's own may be just
+    "unit; definition; source"): ``evaluate`` gives all of them, always. A number that does not
+    exist is None, never 0.
     """
 
-    columns: ClassVar[dict[str, str]]
+    columns: ClassVar[Mapping[str, Column | str]]
 
     @abstractmethod
     def evaluate(

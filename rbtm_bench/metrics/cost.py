@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rbtm_bench.core.columns import family
 from rbtm_bench.core.types import Array, StepRecord
 from rbtm_bench.metrics.base import Values
 
@@ -17,23 +18,7 @@ check, in which every result is evaluated anew."""
 
 PERCENTILES = (50, 95, 99)
 
-_SHARED = "a shared answer counts with the time it took when it was computed"
-
-COLUMNS = {
-    "ms_per_scan": "ms; mean time of prepare, describe, guess, select and register, evaluation of "
-    f"the result excluded, {_SHARED}; steps",
-    **{f"ms_p{p}": f"ms; {p}th percentile of the same time of a scan; steps" for p in PERCENTILES},
-    "ms_prepare": "ms; mean time of preparing scan and target, part of ms_per_scan; steps",
-    "ms_describe": "ms; mean time of the descriptor, part of ms_per_scan; steps",
-    "ms_guess": "ms; mean time of what the guess registers itself, part of ms_per_scan; steps",
-    "ms_select": "ms; mean time of scores and selection, part of ms_per_scan; steps",
-    "ms_register": "ms; mean time of the backend's registrations, part of ms_per_scan; steps",
-    "ms_check": "ms; mean time of evaluating and checking results, not in ms_per_scan; steps",
-    "real_time_factor": "ratio; median time between scans over ms_per_scan, above 1 keeps up; "
-    "steps",
-    "peak_memory_mb": "MB; most memory that the process had resident until the loop ended, "
-    "libraries included; the operating system",
-}
+COLUMNS = family("cost")
 
 
 def cost(records: Sequence[StepRecord], peak_memory_mb: float | None = None) -> Values:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Gt
 
+from rbtm_bench.core.column import Column
+from rbtm_bench.core.columns import family
 from rbtm_bench.core.geometry import inverse, rotation_angle, yaw
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array
@@ -25,31 +28,7 @@ class FinalPose(Metric):
     at least this far from it; long enough that noise in the truth does not decide it.
     """
 
-    columns: ClassVar[dict[str, str]] = {
-        "final_translation_error_mm": (
-            "mm; distance of the last estimated from the last true position, first poses aligned; "
-            "RBTM paper, Table I"
-        ),
-        "final_along_mm": (
-            "mm, signed; part of that error along the true direction of travel at the end, "
-            "positive is too far; own"
-        ),
-        "final_cross_mm": (
-            "mm, signed; part of that error across the direction of travel, positive is left, "
-            "the unsigned norm of the remainder if a motion leaves the plane; own"
-        ),
-        "final_rotation_error_deg": (
-            "deg, >= 0; angle of the rotation from the last true to the last estimated "
-            "orientation, first poses aligned; own"
-        ),
-        "final_heading_error_deg": (
-            "deg, signed; yaw of that rotation about z of the true pose, positive is "
-            "counter-clockwise; own"
-        ),
-        "drift_percent": (
-            "%; final_translation_error over the length of the true path, first poses aligned; own"
-        ),
-    }
+    columns: ClassVar[Mapping[str, Column]] = family("final_pose")
 
     def __init__(self, travel_m: Annotated[float, Gt(0)] = 0.05) -> None:
         self.travel_m = travel_m

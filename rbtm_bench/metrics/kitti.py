@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import ClassVar
 
+from rbtm_bench.core.column import Column
+from rbtm_bench.core.columns import family
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.datasets.base import Relations
 from rbtm_bench.metrics.ape import is_collinear
 from rbtm_bench.metrics.base import Metric, Values, paired
 
-_SEGMENTS = "kiss_icp.metrics.sequence_error (KITTI's development kit, Geiger et al. 2012)"
 _FITTED = "kiss_icp.metrics.absolute_trajectory_error"
 
 
@@ -26,20 +28,7 @@ class Kitti(Metric):
     scale). None where they leave the fitted rotation open: on a straight line, or in one place.
     """
 
-    columns: ClassVar[dict[str, str]] = {
-        "kitti_translation_percent": (
-            f"%; mean translation error over segments of 100 to 800 m, of their length; {_SEGMENTS}"
-        ),
-        "kitti_rotation_deg_per_m": (
-            f"deg/m; mean rotation error over the same segments, per metre; {_SEGMENTS}"
-        ),
-        "ate_translation_m": (
-            f"m; root mean square distance of the positions once fitted; {_FITTED}"
-        ),
-        "ate_rotation_deg": (
-            f"deg; root mean square angle between the orientations once fitted; {_FITTED}"
-        ),
-    }
+    columns: ClassVar[Mapping[str, Column]] = family("kitti")
 
     def evaluate(
         self, estimate: Trajectory, truth: Trajectory | None, relations: Relations | None = None

@@ -7,17 +7,20 @@ truth and of no motion at all go with them, and nothing is to be ranked by them 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Ge, Gt
 
+from rbtm_bench.core.column import Column
+from rbtm_bench.core.columns import family
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.geometry import inverse, transform
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.metrics.base import MIN_POSES, REFERENCES, ScanMetric, Values
+from rbtm_bench.metrics.base import MIN_POSES, ScanMetric, Values
 from rbtm_bench.metrics.neighbourhoods import Integers, occupied_cells, scatter
 
 RADIUS_M = {True: 0.3, False: 1.0}
@@ -26,24 +29,6 @@ Razlaw's program) sees little but single rings, and no motion at all is crisper 
 
 THINNEST_M = 1e-3
 """No neighbourhood counts as thinner than this, or a map without noise would have no entropy."""
-
-_RAZLAW = "after Razlaw et al. 2015"
-
-_TEXTS = {
-    "map_entropy_nat": ("nat", "mean entropy of a normal distribution of the neighbours", _RAZLAW),
-    "map_variance_mm2": ("mm^2", "mean of the neighbours' smallest variance", _RAZLAW),
-    "map_cells": ("count", "occupied cells", "own"),
-    "map_supported": ("share", "points with enough neighbours for the first two", "own"),
-}
-
-
-def _columns() -> dict[str, str]:
-    maps = {"": "the map", **{end: f"the map of {name}" for end, name in REFERENCES.items()}}
-    return {
-        key + end: f"{unit}; {text}, {whose}; {source}"
-        for end, whose in maps.items()
-        for key, (unit, text, source) in _TEXTS.items()
-    }
 
 
 class MapQuality(ScanMetric):
@@ -66,7 +51,7 @@ class MapQuality(ScanMetric):
     one of these scans has no estimated pose every number of the estimate is None.
     """
 
-    columns: ClassVar[dict[str, str]] = _columns()
+    columns: ClassVar[Mapping[str, Column]] = family("maps")
 
     def __init__(
         self,

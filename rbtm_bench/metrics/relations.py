@@ -6,40 +6,21 @@ no true trajectory and no common frame, and an error is counted where it arises.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
+from rbtm_bench.core.column import Column
+from rbtm_bench.core.columns import family
 from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
 from rbtm_bench.core.trajectory import Mask, Trajectory
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Relations
 from rbtm_bench.metrics.base import Metric, Values
 from rbtm_bench.metrics.relation_errors import RelationErrors
-
-_SOURCE = "Kuemmerle et al. 2009, absolute error"
-
-
-def _columns() -> dict[str, str]:
-    groups = {
-        "relations_": "all relations",
-        "relations_local_": "relations over at most local_s seconds",
-        "relations_long_": "relations over more than local_s seconds",
-    }
-    columns: dict[str, str] = {}
-    for prefix, group in groups.items():
-        texts = {
-            "used": f"count; {group} of which both ends have an estimated pose",
-            "total": f"count; {group} the data set has",
-            "translation_mean_m": f"m; mean length of the translation of E, {group}",
-            "translation_std_m": f"m; population standard deviation of the same, {group}",
-            "rotation_mean_deg": f"deg; mean absolute rotation angle of E, {group}",
-            "rotation_std_deg": f"deg; population standard deviation of the same, {group}",
-        }
-        columns |= {prefix + name: f"{text}; {_SOURCE}" for name, text in texts.items()}
-    return columns
 
 
 class RelationError(Metric):
@@ -56,7 +37,7 @@ class RelationError(Metric):
     a group without a used relation are None.
     """
 
-    columns: ClassVar[dict[str, str]] = _columns()
+    columns: ClassVar[Mapping[str, Column]] = family("relations")
 
     def __init__(
         self,

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 from annotated_types import Ge
 
+from rbtm_bench.core.column import Column
+from rbtm_bench.core.columns import family
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.datasets.base import Relations
 from rbtm_bench.metrics.base import Metric, Values, paired
-
-_SOURCE = "evo.core.metrics.RPE (Sturm et al. 2012)"
 
 
 class Rpe(Metric):
@@ -21,15 +22,7 @@ class Rpe(Metric):
     the world frames cancel. A ``delta`` beyond the last frame gives None.
     """
 
-    columns: ClassVar[dict[str, str]] = {
-        "rpe_translation_rmse_m": (
-            f"m; root mean square length of the translation of E over the motions; {_SOURCE}, "
-            "translation part"
-        ),
-        "rpe_rotation_rmse_deg": (
-            f"deg; root mean square rotation angle of E over the motions; {_SOURCE}, rotation angle"
-        ),
-    }
+    columns: ClassVar[Mapping[str, Column]] = family("rpe")
 
     def __init__(self, delta: Annotated[int, Ge(1)] = 1, all_pairs: bool = False) -> None:
         self.delta = delta

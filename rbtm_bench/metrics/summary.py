@@ -6,27 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from rbtm_bench.core.columns import DEGENERATE, family
 from rbtm_bench.core.types import StepRecord
 from rbtm_bench.metrics import cost
 from rbtm_bench.metrics.base import Values
-from rbtm_bench.odometry.degeneracy import DEGENERATE
 
-COLUMNS = {
-    "coverage": "share; scans with an accepted registration over all scans but the first; steps",
-    "registrations": "count; calls of the backend, rejected ones included; steps",
-    "rejected": "count; registrations that the check or the backend refused; steps",
-    "fallbacks": "count; scans registered to the fallback; steps",
-    "skipped": "count; scans left at their predicted pose by fallback=skip; steps",
-    "longest_skip": "scans; most scans in a row without an accepted registration; steps",
-    "restarts": "count; scans matched to an unmatched one before, after too many of them; steps",
-    "undefined_scores": "count; similarities that were undefined (NaN); steps",
-    "reused": "share; accepted registrations that were taken from memory or the pair store; steps",
-    "mean_gap": "scans; mean of scan - model over registered scans; steps",
-    "mean_fitness": "share; mean fitness over registered scans; our evaluator",
-    "localizability": "share; median of the smallest eigenvalue over registered scans; evaluator",
-    "degenerate": f"share; registered scans whose smallest eigenvalue is < {DEGENERATE}; evaluator",
-    **cost.COLUMNS,
-}
+COLUMNS = {**family("steps"), **cost.COLUMNS}
 
 
 def summarise_steps(records: Sequence[StepRecord], peak_memory_mb: float | None = None) -> Values:

@@ -9,10 +9,6 @@ import numpy as np
 from rbtm_bench.core.geometry import inverse, se2, se3, yaw
 from rbtm_bench.core.types import Array, RegistrationResult
 
-DEGENERATE = 0.01
-"""A motion that less than this share of the matched points opposes counts as unseen in tables: a
-bare corridor with 10 mm noise has 0.00005 along its axis, one with recesses 0.14."""
-
 
 def remap(result: RegistrationResult, T_guess: Array, threshold: float) -> RegistrationResult:
     """Solution remapping (Zhang, Kaess and Singh 2016, eq. 13-15): the motion from the guess to

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from rbtm_bench.odometry.degeneracy import DEGENERATE
+from rbtm_bench.core.columns import DEGENERATE
 from rbtm_bench.plots import labels, style
 from rbtm_bench.plots.folder import Steps, read_steps
 from rbtm_bench.runs.stored import Run

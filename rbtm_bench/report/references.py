@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from rbtm_bench.metrics.base import REFERENCES
+from rbtm_bench.core.columns import REFERENCES
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rbtm_bench.core.columns import REFERENCES
 from rbtm_bench.core.errors import ConfigError
-from rbtm_bench.metrics.base import REFERENCES
 from rbtm_bench.report import intervals as statistics
 from rbtm_bench.report import tables
 from rbtm_bench.report.frame import METHOD, MethodRuns

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -20,6 +20,7 @@ import numpy as np
 from rbtm_bench.backends.system import System
 from rbtm_bench.core.errors import ConfigError, RbtmBenchError
 from rbtm_bench.core.files import make_folder, write_atomically, write_json, write_text
+from rbtm_bench.core.step_columns import STEPS
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array, StepRecord
 from rbtm_bench.datasets.base import Dataset
@@ -282,20 +283,15 @@ def similarity_matrix(dataset: Dataset, similarity: Similarity) -> tuple[Any, Ar
 
 
 def write_steps(path: Path, records: list[StepRecord]) -> None:
-    """``steps.parquet``: a row a scan, the columns of ``StepRecord``."""
+    """``steps.parquet``: a row a scan, the columns of ``STEPS``."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    schema = pa.schema([(name, kind) for name, kind in _step_columns(pa)])
-    table = pa.Table.from_pylist([asdict(record) for record in records], schema=schema)
-    write_atomically(path, lambda p: pq.write_table(table, p))
-
-
-def _step_columns(pa: Any) -> list[tuple[str, Any]]:
     kinds = {"int": pa.int64(), "float": pa.float64(), "str": pa.string(), "bool": pa.bool_()}
-    kinds["list[float]"] = pa.list_(pa.float64())
-    annotations = StepRecord.__annotations__
-    return [(name, kinds[str(kind).split(" ")[0]]) for name, kind in annotations.items()]
+    kinds["list"] = pa.list_(pa.float64())
+    schema = pa.schema([(column.name, kinds[column.type]) for column in STEPS])
+    table = pa.Table.from_pylist([record.as_dict() for record in records], schema=schema)
+    write_atomically(path, lambda p: pq.write_table(table, p))
 
 
 def write_npz(path: Path, **arrays: Any) -> None:

@@ -9,13 +9,14 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
+from rbtm_bench.core.columns import REFERENCES
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.geometry import se2, yaw
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.datasets.corridor import Corridor
-from rbtm_bench.metrics.base import REFERENCES, Metric, evaluated
+from rbtm_bench.metrics.base import Metric, evaluated
 from rbtm_bench.metrics.map_quality import MapQuality
 from rbtm_bench.runs import experiment
 from rbtm_bench.runs.settings import compose_settings

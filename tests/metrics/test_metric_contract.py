@@ -14,10 +14,11 @@ import pytest
 from hydra.utils import instantiate
 
 import rbtm_bench.metrics
+from rbtm_bench.core.columns import REFERENCES
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.datasets.base import Relations
-from rbtm_bench.metrics.base import REFERENCES, Metric, ScanMetric
+from rbtm_bench.metrics.base import Metric, ScanMetric
 from rbtm_bench.metrics.map_quality import MapQuality
 from rbtm_bench.metrics.summary import COLUMNS
 from rbtm_bench.runs.settings import compose_settings
