@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,7 @@ def steps(parts: experiment.Parts) -> list[Step]:
 def rows(run: list[Step]) -> list[dict[str, Any]]:
     """What must not differ: everything but times and whether it was reused."""
     exempt = (*TIMES, "reused")
-    return [{k: v for k, v in asdict(s.record).items() if k not in exempt} for s in run]
+    return [{k: v for k, v in s.record.as_dict().items() if k not in exempt} for s in run]
 
 
 def assert_same(one: list[Step], other: list[Step]) -> None:

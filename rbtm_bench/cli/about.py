@@ -63,28 +63,8 @@ def list_plugins(words: list[str]) -> int:
     return 0
 
 
-def missing_library(group: str, name: str, node: dict[str, Any] | ConfigError) -> str | None:
-    """Why a plug-in cannot be used here, or None."""
-    from rbtm_bench.runs.plugins import locate
-
-    if isinstance(node, ConfigError):
-        return str(node)
-    try:
-        cls = locate(f"{group}={name}", str(node.get("_target_")))
-    except ConfigError as error:
-        return str(error)
-    absent = [package for package in getattr(cls, "requires", ()) if not _is_there(package)]
-    return f"needs {', '.join(absent)}" if absent else None
-
-
-def _is_there(package: str) -> bool:
-    try:
-        return importlib.util.find_spec(package) is not None
-    except (ImportError, ValueError):
-        return False
-
-
 def _about(group: str, name: str, node: dict[str, Any] | ConfigError) -> str:
+    from rbtm_bench.runs.installed import missing_library
     from rbtm_bench.runs.plugins import locate
 
     why_not = missing_library(group, name, node)
@@ -143,6 +123,7 @@ def _check_libraries() -> list[str]:
 def _check_plugins() -> list[str]:
     try:
         from rbtm_bench.runs.declared import PLUGIN_GROUPS
+        from rbtm_bench.runs.installed import missing_library
         from rbtm_bench.runs.settings import config_dir, member_nodes
     except ImportError as error:
         return _say(False, "plug-ins cannot be listed", f"first mend what is above ({error})")

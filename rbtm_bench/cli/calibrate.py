@@ -78,10 +78,10 @@ def _measure(
 ) -> None:
     from rbtm_bench.calibration import report, running, tables
     from rbtm_bench.core.files import make_folder, write_text
-    from rbtm_bench.engine import drive
+    from rbtm_bench.engine import one_run
 
     pin = bool(points[0].settings.config["pin"])
-    crew[0].call(drive.check_data, [_without_guess(point) for point in points], pin=pin)
+    crew[0].call(one_run.check_data, [_without_guess(point) for point in points], pin=pin)
     with bar("calibrate") as progress:
         measured, samples = running.measure(asked, plan, crew, pin, progress.update_to)
         progress.update_to(0, None, "resampling")

@@ -43,7 +43,7 @@ docs/statistics.md says how, docs/metrics.md defines every metric."""
 
 def table(words: list[str]) -> int:
     """``rbtm-bench table PATH...``: runs as a table on standard output."""
-    from rbtm_bench.report import tables
+    from rbtm_bench.report import best_settings, render
 
     options = _table_parser().parse_args(words)
     if options.metric and not (options.intervals or options.against):
@@ -65,17 +65,17 @@ def table(words: list[str]) -> int:
         _print_chosen(chosen, options.format, options.columns)
         return 0
     if options.best:
-        _print_best(tables.best(frame.over_seeds(runs)), options.format, options.columns)
+        _print_best(best_settings.best(frame.over_seeds(runs)), options.format, options.columns)
         return 0
     rows = frame.over_seeds(runs) if options.over_seeds else frame.frame(runs)
     if options.columns:
-        rows = rows[tables.existing_columns(rows, options.columns)]
-    print(tables.render(rows, options.format))
+        rows = rows[render.existing_columns(rows, options.columns)]
+    print(render.render(rows, options.format))
     return 0
 
 
 def _table_parser() -> argparse.ArgumentParser:
-    from rbtm_bench.report import tables
+    from rbtm_bench.report import render
 
     parser = argparse.ArgumentParser(
         prog="rbtm-bench table",
@@ -87,7 +87,7 @@ def _table_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("paths", nargs="+", type=Path, metavar="PATH")
-    parser.add_argument("--format", "-f", choices=tables.FORMATS, default="text")
+    parser.add_argument("--format", "-f", choices=render.FORMATS, default="text")
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument(
         "--over-seeds",
@@ -148,18 +148,18 @@ def _choose(runs: Sequence[Run], options: argparse.Namespace) -> list[MethodRuns
 def _print_chosen(chosen: Sequence[MethodRuns], fmt: str, columns: str | None) -> None:
     """The table of settings chosen elsewhere: whole as CSV and JSON, else the columns that
     matter."""
-    from rbtm_bench.report import held_out, tables
+    from rbtm_bench.report import held_out, render
 
     rows, notes = held_out.table(chosen), held_out.notes(chosen)
     names, main = held_out.columns(rows)
     if columns:
-        rows = rows[tables.existing_columns(rows, columns)]
+        rows = rows[render.existing_columns(rows, columns)]
     elif fmt == "text":
-        rows, same = tables.screen(rows, names, (*tables.ALWAYS, *main))
+        rows, same = render.screen(rows, names, (*render.ALWAYS, *main))
         notes = [f"the same in every row: {same}", *notes] if same else notes
     elif fmt not in ("csv", "json"):
         rows = rows[names]
-    print(tables.render(rows, fmt))
+    print(render.render(rows, fmt))
     _say(notes, fmt)
 
 
@@ -167,7 +167,7 @@ def _print_statistics(
     runs: Sequence[Run], options: argparse.Namespace, chosen: Sequence[MethodRuns] | None
 ) -> None:
     """A table of intervals or differences: numbers as CSV and JSON, else folded to be read."""
-    from rbtm_bench.report import held_out, paired, tables, with_intervals
+    from rbtm_bench.report import held_out, paired, render, with_intervals
 
     metrics = with_intervals.named_metrics(runs, options.metric)
     found = held_out.pooled(chosen) if chosen and options.pool else chosen
@@ -182,31 +182,31 @@ def _print_statistics(
     if options.format not in ("csv", "json"):
         rows = with_intervals.folded(rows)
     if options.columns:
-        rows = rows[tables.existing_columns(rows, options.columns)]
+        rows = rows[render.existing_columns(rows, options.columns)]
     elif options.format == "text":
         told = [*frame.METHOD, "seeds", "status", "unit", "reference", "reference_status"]
         told += ["metric"]
-        keep = [*tables.ALWAYS, *(c for c in rows if c not in told)]
-        rows, same = tables.screen(rows, list(rows), keep)
+        keep = [*render.ALWAYS, *(c for c in rows if c not in told)]
+        rows, same = render.screen(rows, list(rows), keep)
         notes = [f"the same in every row: {same}", *notes] if same else notes
-    print(tables.render(rows, options.format))
+    print(render.render(rows, options.format))
     _say(notes, options.format)
 
 
 def _print_best(best: pd.DataFrame, fmt: str, columns: str | None) -> None:
     """The table of best settings: whole as CSV and JSON, else the columns that matter."""
-    from rbtm_bench.report import screen, tables
+    from rbtm_bench.report import best_settings, render, screen
 
     if fmt == "text" and not columns:
         print("\n".join(screen.of_best(best)))
         return
     rows = best
     if columns:
-        rows = best[tables.existing_columns(best, columns)]
+        rows = best[render.existing_columns(best, columns)]
     elif fmt not in ("csv", "json"):
-        rows = best[tables.best_columns(best)[0]]
-    print(tables.render(rows, fmt))
-    _say(tables.chances(best), fmt)
+        rows = best[best_settings.best_columns(best)[0]]
+    print(render.render(rows, fmt))
+    _say(best_settings.chances(best), fmt)
 
 
 def _say(lines: Sequence[str], fmt: str) -> None:

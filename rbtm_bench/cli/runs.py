@@ -122,14 +122,14 @@ def run(words: list[str]) -> int:
 
 def _run_supervised(settings: Settings, out: Path, progress: Any) -> None:
     """A run that a time limit may end. Raises ``RunError`` if it fails."""
-    from rbtm_bench.engine import drive
+    from rbtm_bench.engine import one_run
     from rbtm_bench.engine.crew import Supervisor
     from rbtm_bench.runs import experiment
     from rbtm_bench.runs.grid import Point
 
     experiment.refuse_existing(out, bool(settings.config["overwrite"]))
     with Supervisor() as supervisor:
-        supervisor.call(drive.check_data, [Point("run", settings)], pin=settings.config["pin"])
+        supervisor.call(one_run.check_data, [Point("run", settings)], pin=settings.config["pin"])
         limit = settings.config["time_limit"]
         record = supervisor.run(out.name, settings, out, limit, progress)
     if record["status"] != "done":
@@ -160,7 +160,7 @@ def compare(words: list[str]) -> int:
 def _compare(asked: Asked, resumed: Path | None, jobs: int) -> int:
     """A comparison, or with a folder to resume the rest of it."""
     from rbtm_bench.cli import session
-    from rbtm_bench.engine import drive, sweep_folder
+    from rbtm_bench.engine import drive, one_run, sweep_folder
     from rbtm_bench.runs.grid import make_points
 
     points, notes = make_points(asked.overrides, tuple(map(Path, asked.config_dirs)))
@@ -174,7 +174,7 @@ def _compare(asked: Asked, resumed: Path | None, jobs: int) -> int:
     rest = [point for point in points if not resumed or not _is_finished(point, out)]
     with drive.make_crew(jobs, asked.command) as crew:
         if rest:
-            crew[0].call(drive.check_data, rest, pin=config["pin"])
+            crew[0].call(one_run.check_data, rest, pin=config["pin"])
         with session.claimed(asked, out):
             sweep_folder.clear(out / point.name for point in rest)
             failed: list[str] = []

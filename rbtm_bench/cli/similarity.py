@@ -89,7 +89,7 @@ def _write(found: Scores, settings: Settings, out: Path) -> None:
     from rbtm_bench.runs.experiment import write_config
 
     make_folder(out)
-    found.write(out / "similarity.npz", settings)
+    found.write(out / "similarity.npz", settings.config)
     write_config(out, settings)
     (out / "config.yaml").replace(out / "settings.yaml")  # config.yaml would say: a run
     data, similarity = (settings.choices[group] for group in ("dataset", "similarity"))

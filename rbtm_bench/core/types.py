@@ -133,12 +133,13 @@ class StepRecord:
 
     __slots__ = tuple(column.name for column in STEPS)
 
-    def __init__(self, scan: int, stamp: float, **values: Any) -> None:
+    def __init__(self, scan: int, stamp: float, *values: Any, **named: Any) -> None:
+        """``values`` in the order of the columns, ``named`` by their names."""
+        given = {**dict(zip(self.__slots__, (scan, stamp, *values), strict=False)), **named}
         for column in STEPS:
-            setattr(self, column.name, values.pop(column.name, column.default))
-        if values:
-            raise TypeError(f"no such columns of a step: {', '.join(values)}")
-        self.scan, self.stamp = scan, stamp
+            setattr(self, column.name, given.pop(column.name, column.default))
+        if given:
+            raise TypeError(f"no such columns of a step: {', '.join(given)}")
 
     if TYPE_CHECKING:  # the names stand in STEPS alone
 

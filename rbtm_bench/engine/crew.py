@@ -48,7 +48,7 @@ START_S = 120.0
 CLOSE_S = 10.0
 """What a child gets to end by itself when its work is over."""
 
-NEEDED = ("rbtm_bench.engine.drive", "pyarrow.parquet", "evo.core.metrics")
+NEEDED = ("rbtm_bench.engine.one_run", "pyarrow.parquet", "evo.core.metrics")
 """What every run needs, loaded before a time limit counts; a backend's library is not."""
 
 BOOT = (
@@ -196,7 +196,7 @@ class Supervisor:
         The ``time_limit``, in s, counts from when the child begins. Raises ``StoppedError`` when
         ``kill`` is called: the run then stays "started".
         """
-        from rbtm_bench.engine.drive import ended_by, run_one
+        from rbtm_bench.engine.one_run import ended_by, run_one
 
         pin = bool(settings.config.get("pin", True))
         try:

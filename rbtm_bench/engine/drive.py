@@ -7,47 +7,21 @@ import functools
 import os
 import queue
 import threading
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rbtm_bench.core.errors import RbtmBenchError
-from rbtm_bench.core.files import write_json
-from rbtm_bench.engine import sweep_folder
 from rbtm_bench.engine.crew import Supervisor
-from rbtm_bench.runs import experiment, provenance
 from rbtm_bench.runs.grid import Point
 from rbtm_bench.runs.settings import Settings
-from rbtm_bench.runs.workbench import own_workbench
 
 Done = Callable[[str, dict[str, Any]], None]
 """Called with a point's name and its ``run.json`` whenever a run has ended."""
 
 Part = Callable[[str, int, int], None]
 """Called with a point's name, its scans done and its scans in all; from any thread."""
-
-
-def check_data(points: Sequence[Point]) -> None:
-    """Open every data set once, before the first run, and see that the parts fit it.
-
-    Raises ``DataError`` or ``ConfigError``: bad data common to all points stops here.
-    """
-    opened: dict[str, Any] = {}
-    checked = set()
-    for point in points:
-        config = point.settings.config
-        key = repr(sorted(config["dataset"].items()))
-        if key not in opened:
-            opened.clear()  # one data set in memory at a time
-            opened[key] = experiment.build(config["dataset"])
-        groups = ("backend", "guess", "similarity", "selector", "check")
-        fit = repr((key, [config.get(group) for group in groups]))
-        if fit not in checked:
-            checked.add(fit)
-            experiment.check_fit(point.settings, opened[key])
 
 
 @contextlib.contextmanager
@@ -157,55 +131,3 @@ def sharing(settings: Settings, out: Path) -> Settings:
     pairs = settings.config["pairs"]
     folder = pairs["folder"] or str((out / "pairs").resolve())
     return replace(settings, config={**settings.config, "pairs": {**pairs, "folder": folder}})
-
-
-def run_one(
-    name: str, settings: Settings, out: Path, progress: experiment.Progress | None = None
-) -> tuple[str, dict[str, Any]]:
-    """One run that never raises: whatever goes wrong becomes its status and reason."""
-    try:
-        experiment.refuse_existing(out, bool(settings.config["overwrite"]))
-        experiment.clear(out)  # an earlier run's files must not stand for a run that never starts
-    except (OSError, RbtmBenchError) as error:
-        return name, {"status": "failed", "reason": experiment.reason(error)}
-    try:
-        bench = own_workbench(settings)
-        try:
-            return name, experiment.run(settings, out, progress, bench)
-        except BaseException:
-            if bench is not None:
-                bench.forget()
-            raise
-        finally:
-            if bench is not None:
-                bench.flush()
-    except (Exception, SystemExit) as error:
-        return name, ended_by(error, settings, out, traceback.format_exc())
-
-
-def ended_by(
-    error: BaseException, settings: Settings, out: Path, trace: str = ""
-) -> dict[str, Any]:
-    """Leave a run that ended by an error as a failed one; returns its run.json.
-
-    Where even that cannot be written the run's own files make room; the answer says why anyway.
-    """
-    sweep_folder.clear_partial(out)
-    record = sweep_folder.record_of(out)
-    if record.get("status") in ("failed", "done"):  # it has said so itself
-        return record
-    ending = {
-        "status": "failed",
-        "reason": experiment.reason(error),
-        "finished": provenance.now(),
-        "traceback": trace,
-    }
-    try:
-        if record:
-            write_json(out / "run.json", {**record, **ending})
-        else:
-            experiment.fail(settings, out, error)
-    except (OSError, RbtmBenchError):
-        with contextlib.suppress(OSError, RbtmBenchError):
-            experiment.fail(settings, out, error)
-    return {**record, **ending}

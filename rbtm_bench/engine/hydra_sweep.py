@@ -16,7 +16,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from rbtm_bench.core.errors import ConfigError
-from rbtm_bench.engine import drive, sweep_folder
+from rbtm_bench.engine import drive, one_run, sweep_folder
 from rbtm_bench.engine.crew import Supervisor, own_supervisor
 from rbtm_bench.engine.progress import RunBar
 from rbtm_bench.engine.sweep_folder import Asked
@@ -76,10 +76,10 @@ class SweepPlan:
         points = [Point(str(number), settings) for number, settings in enumerate(self.settings)]
         pin = bool(self.settings[0].config["pin"])
         if self.one_process:
-            own_supervisor(_place(asked), asked.command).call(drive.check_data, points, pin=pin)
+            own_supervisor(_place(asked), asked.command).call(one_run.check_data, points, pin=pin)
         else:
             with Supervisor() as supervisor:
-                supervisor.call(drive.check_data, points, pin=pin)
+                supervisor.call(one_run.check_data, points, pin=pin)
 
     def left(self, folders: list[Path]) -> list[str]:
         """The jobs that have no run, by number and words."""
@@ -167,7 +167,7 @@ def _run(cfg: DictConfig, hydra_cfg: Any, out: Path, asked: Asked) -> dict[str, 
         choices = {str(k): str(v) for k, v in hydra_cfg.runtime.choices.items()}
         settings = Settings({str(k): v for k, v in plain.items()}, choices, words)
         sweep_folder.clear([out])
-        return drive.ended_by(error, settings, out)
+        return one_run.ended_by(error, settings, out)
     if sweep_folder.is_finished(out, settings):
         return sweep_folder.record_of(out)
     sweep_folder.clear([out])

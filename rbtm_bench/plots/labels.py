@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rbtm_bench.core.errors import DataError
-from rbtm_bench.report import tables
+from rbtm_bench.report import best_settings
 from rbtm_bench.runs.stored import Run, read_run
 
 ALWAYS = ("window", "threshold", "gap")
@@ -135,7 +135,7 @@ def unbroken(text: str) -> str:
 
 def main_error(runs: Sequence[Run]) -> tuple[str, str, str] | None:
     """Key, unit and name of the first of ``tables.ERRORS`` that a run has."""
-    for key, unit, name in tables.ERRORS:
+    for key, unit, name in best_settings.ERRORS:
         if any(value(run, key) is not None for run in runs):
             return key, unit, name
     return None

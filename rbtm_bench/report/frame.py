@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rbtm_bench.core.columns import COLUMNS
 from rbtm_bench.runs.identity import differing
 from rbtm_bench.runs.stored import Run
 
@@ -18,40 +18,12 @@ METHOD = ("data", "backend", "selector", "window", "threshold", "settings")
 """The columns that say what was compared on what."""
 
 FIRST = (
-    "run",
-    "status",
-    "dataset",
-    *METHOD,
-    "seed",
-    "scans",
-    "coverage",
-    "final_translation_error_mm",
-    "final_along_mm",
-    "final_cross_mm",
-    "final_rotation_error_deg",
-    "ape_rmse_m",
-    "rpe_translation_rmse_m",
-    "rpe_rotation_rmse_deg",
-    "relations_used",
-    "relations_total",
-    "relations_translation_mean_m",
-    "relations_translation_std_m",
-    "relations_rotation_mean_deg",
-    "relations_rotation_std_deg",
-    "registrations",
-    "rejected",
-    "fallbacks",
-    "reused",
-    "mean_gap",
-    "localizability",
-    "degenerate",
+    *("run", "status", "dataset", *METHOD, "seed", "scans"),
+    *(column.name for column in COLUMNS if column.table and not column.cost),
     "seconds",
-    "ms_per_scan",
+    *(column.name for column in COLUMNS if column.table and column.cost),
 )
 """The columns of a table, in order; a run's further metrics follow, then the reason of failure."""
-
-COSTS = re.compile(r"ms_|real_time_factor|peak_memory|reused")
-"""Metrics that depend on the machine's mood, or on what other runs had computed before."""
 
 
 def row(run: Run, label: str = "", data: str = "") -> dict[str, Any]:

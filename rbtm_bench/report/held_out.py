@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.core.errors import ConfigError
-from rbtm_bench.report import frame, tables
+from rbtm_bench.report import best_settings, frame
 from rbtm_bench.report.frame import METHOD, MethodRuns
 from rbtm_bench.report.units import is_number
 from rbtm_bench.runs.stored import Run
@@ -131,7 +131,7 @@ def table(chosen: Sequence[MethodRuns]) -> pd.DataFrame:
     rows = pd.DataFrame([method.row for method in chosen])
     parts = []
     for _, here in rows.groupby("data", sort=False, dropna=False):
-        found = tables.main_error(here)
+        found = best_settings.main_error(here)
         for _, methods in here.groupby("backend", sort=False, dropna=False):
             parts.append(methods.sort_values(found[0], kind="stable") if found else methods)
     return pd.concat(parts, ignore_index=True)
@@ -139,7 +139,7 @@ def table(chosen: Sequence[MethodRuns]) -> pd.DataFrame:
 
 def columns(table: pd.DataFrame) -> tuple[list[str], list[str]]:
     """The columns to show of the table; of these the main errors."""
-    names, main = tables.best_columns(table)
+    names, main = best_settings.best_columns(table)
     return [*names, "chosen_on"], main
 
 
@@ -150,7 +150,7 @@ def notes(chosen: Sequence[MethodRuns]) -> list[str]:
     rows = pd.DataFrame([method.row for method in chosen])
     lines = [RULE] if rows["tried"].max() > 1 else []
     rows["data"] = rows["data"].map(_labels([str(name) for name in rows["data"].unique()]))
-    lines += tables.equal_chances(rows)
+    lines += best_settings.equal_chances(rows)
     out = int(rows["left_out"].max())
     if out:
         settings = "1 setting was" if out == 1 else f"up to {out} settings of a method were"
@@ -303,7 +303,9 @@ def _best(settings: Sequence[_Setting], names: Sequence[str]) -> tuple[_Setting 
 def _main_key(runs: Sequence[Run]) -> str | None:
     """The first of ``tables.ERRORS`` that any of the runs has."""
     there = (
-        key for key, _, _ in tables.ERRORS if any(_error(run, key) is not None for run in runs)
+        key
+        for key, _, _ in best_settings.ERRORS
+        if any(_error(run, key) is not None for run in runs)
     )
     return next(there, None)
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from rbtm_bench.core.columns import is_cost
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.kinds import Kind
 from rbtm_bench.report import frame, screen
@@ -191,7 +192,7 @@ def compared(a: Run, b: Run) -> Differences:
     versions = [{"git": r.record.get("git"), **(r.record.get("versions") or {})} for r in (a, b)]
     ends, machines = of_record("status", "reason"), of_record("host", "machine", "core")
     every = dict.fromkeys(key for run in (a, b) for key in run.metrics)
-    counted = [key for key in every if not frame.COSTS.match(key)]
+    counted = [key for key in every if not is_cost(key)]
     return Differences(
         {
             "settings": _lines(_asked(a, b), _asked(b, a)),

@@ -6,8 +6,10 @@ import re
 from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
+from rbtm_bench.core.columns import less_is_better
 from rbtm_bench.core.errors import ConfigError
-from rbtm_bench.report import intervals, tables
+from rbtm_bench.core.wording import shown
+from rbtm_bench.report import best_settings, intervals
 from rbtm_bench.report.frame import METHOD, MethodRuns
 from rbtm_bench.report.units import CLUSTERS, Units, grouped, methods
 from rbtm_bench.report.with_intervals import choice_of, keys_of, references_of
@@ -17,11 +19,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SIGNIFICANT = 0.05
-
-LESS_IS_BETTER = re.compile(
-    r"final_(translation|rotation)|ape_|ate_|rpe_|drift_|kitti_|ms_|relations_.*_(mean|std)_"
-)
-"""Metrics that may be called better or worse; of others lower or higher is all that is known."""
 
 
 def against(
@@ -103,27 +100,29 @@ def _words(reference: str, found: Sequence[MethodRuns]) -> dict[str, str]:
 
 def _is(method: MethodRuns, words: dict[str, str]) -> bool:
     """Whether a method has all that the words say."""
-    settings = str(method.row["settings"] or "").split()
-    for key, value in words.items():
-        if key in ("selector", "backend", "window", "threshold"):
-            if not _same(method.row[key], value):
-                return False
-        elif f"{key}={value}" not in settings:
-            return False
-    return True
+    return all(_same(_value(method, key), value) for key, value in words.items())
 
 
-def _same(found: Any, value: str) -> bool:
+def _value(method: MethodRuns, key: str) -> Any:
+    """A column of the method's row, a setting of its selector, or one by its whole name."""
+    if key in ("selector", "backend", "window", "threshold") or not method.runs:
+        return method.row.get(key)
+    run = method.runs[0]
+    settings = {**run.choices, **run.identity.what, **run.identity.settings("selector")}
+    return settings.get(key)
+
+
+def _same(value: Any, word: str) -> bool:
     try:
-        return found is not None and float(found) == float(value)
-    except ValueError:
-        return str(found) == value
+        return value is not None and float(value) == float(word)
+    except (TypeError, ValueError):
+        return shown(value) == word
 
 
 def _refuse_several(reference: str, base: Sequence[MethodRuns]) -> None:
     labels = [_label(method.row, ("backend", "selector")) for method in base]
-    more = len(labels) - tables.TOLD
-    told = "; ".join(labels[: tables.TOLD]) + (f"; {more} more" if more > 0 else "")
+    more = len(labels) - best_settings.TOLD
+    told = "; ".join(labels[: best_settings.TOLD]) + (f"; {more} more" if more > 0 else "")
     where = f"on {base[0].row['data']}"
     raise ConfigError(f"--against {reference}: several methods {where}, name one: {told}")
 
@@ -167,7 +166,7 @@ def _holds(row: dict[str, Any]) -> str:
     less = bool(high < 0)
     if row["status" if less else "reference_status"] != "done":
         return ""  # the runs that failed are not in the comparison
-    if LESS_IS_BETTER.match(row["metric"]):
+    if less_is_better(row["metric"]):
         return "better" if less else "worse"
     return "lower" if less else "higher"
 

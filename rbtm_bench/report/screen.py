@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rbtm_bench.core.columns import COLUMNS
 from rbtm_bench.core.files import write_text
-from rbtm_bench.report import frame, tables
+from rbtm_bench.report import best_settings, frame, render, verdict
 from rbtm_bench.runs import stored
 from rbtm_bench.runs.stored import Run
 
@@ -22,21 +23,8 @@ NAMED = 2
 REASONS = 5
 """Reasons of failure that are told at most."""
 
-RUN_LINES = (
-    ("final_translation_error_mm", "final position error", "mm"),
-    ("final_rotation_error_deg", "final rotation error", "deg"),
-    ("ape_rmse_m", "APE RMSE, first pose aligned", "m"),
-    ("relations_translation_mean_m", "mean relation error", "m"),
-    ("relations_translation_std_m", "  standard deviation", "m"),
-    ("relations_rotation_mean_deg", "mean relation rotation error", "deg"),
-    ("relations_used", "relations used", ""),
-    ("coverage", "share of scans registered", ""),
-    ("mean_gap", "mean gap to the model scan", "scans"),
-    ("rejected", "registrations rejected", ""),
-    ("fallbacks", "fallbacks", ""),
-    ("undefined_scores", "undefined similarities", ""),
-    ("ms_per_scan", "time a scan", "ms"),
-)
+LINES = tuple(sorted((c for c in COLUMNS if c.line), key=lambda c: c.plain_unit in ("", "scans")))
+"""The numbers in the summary of a run: errors and time, then shares and counts."""
 
 
 def of_run(out: Path) -> str:
@@ -54,11 +42,11 @@ def of_run(out: Path) -> str:
 def key_numbers(row: dict[str, Any]) -> list[str]:
     """A line for each of a run's main numbers."""
     lines = []
-    for key, name, unit in RUN_LINES:
-        value = row.get(key)
+    for column in LINES:
+        value = row.get(column.name)
         if value is not None:
             number = f"{value:.4g}" if isinstance(value, float) else str(value)
-            lines.append(f"  {name:<30} {number:>10} {unit}".rstrip())
+            lines.append(f"  {column.line:<30} {number:>10} {column.plain_unit}".rstrip())
     return lines
 
 
@@ -70,11 +58,11 @@ def of_runs(out: Path, folders: Sequence[Path]) -> str:
     """
     runs = stored.find_runs(folders)
     every, methods = frame.frame(runs), frame.over_seeds(runs)
-    write_text(out / "table.csv", tables.render(every, "csv") + "\n")
-    write_text(out / "summary.csv", tables.render(methods, "csv") + "\n")
-    best = tables.best(methods)
-    told = bool(tables.chances(best))
-    lines = [*overview(methods, best), *tables.verdict(methods, say_tries=not told)]
+    write_text(out / "table.csv", render.render(every, "csv") + "\n")
+    write_text(out / "summary.csv", render.render(methods, "csv") + "\n")
+    best = best_settings.best(methods)
+    told = bool(best_settings.chances(best))
+    lines = [*overview(methods, best), *verdict.verdict(methods, say_tries=not told)]
     lines += [*reuse(runs), *reasons(runs)]
     lines += [f"warning: {line}" for line in differences(runs)]
     lines.append(f"a row a run: {out / 'table.csv'}; a row a method: {out / 'summary.csv'}")
@@ -86,26 +74,26 @@ def overview(methods: pd.DataFrame, best: pd.DataFrame) -> list[str]:
     """The best setting of every method, and all methods if they fit a screen: one table where
     both would be the same."""
     if len(best) == len(methods) <= LONG:
-        return _with_same(methods, tables.SHORT, tables.ALWAYS)
+        return _with_same(methods, render.SHORT, render.ALWAYS)
     lines = of_best(best)
     if len(methods) > LONG:
         return [*lines, f"the table of all {len(methods)} methods is not printed, only written"]
-    return [*lines, "", "all:", *_with_same(methods, tables.SHORT, tables.ALWAYS)]
+    return [*lines, "", "all:", *_with_same(methods, render.SHORT, render.ALWAYS)]
 
 
 def of_best(best: pd.DataFrame) -> list[str]:
     """A table of best settings and what must be said with it."""
-    columns, main = tables.best_columns(best)
-    names = [f"{name} ({unit})" for key, unit, name in tables.ERRORS if key in main]
+    columns, main = best_settings.best_columns(best)
+    names = [f"{name} ({unit})" for key, unit, name in best_settings.ERRORS if key in main]
     order = f", within a backend by {' or '.join(names)}" if names else ""
-    table = _with_same(best, columns, (*tables.ALWAYS, *main))
-    return [f"the best setting of every method{order}:", *table, *tables.chances(best)]
+    table = _with_same(best, columns, (*render.ALWAYS, *main))
+    return [f"the best setting of every method{order}:", *table, *best_settings.chances(best)]
 
 
 def _with_same(table: pd.DataFrame, columns: Sequence[str], keep: Sequence[str]) -> list[str]:
     """A table as text, what is the same in every row, and what its numbers are."""
-    screen, same = tables.screen(table, columns, keep)
-    lines = [tables.render(screen, "text")]
+    screen, same = render.screen(table, columns, keep)
+    lines = [render.render(screen, "text")]
     lines += [f"the same in every row: {same}"] if same else []
     seeds = int(table["seeds"].max()) if table["seeds"].notna().any() else 1
     if seeds > 1:

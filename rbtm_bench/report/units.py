@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from rbtm_bench.core.columns import is_cost
 from rbtm_bench.core.types import Array
 from rbtm_bench.metrics.relation_errors import FILE, RelationErrors
 from rbtm_bench.report import frame, intervals
@@ -63,7 +64,7 @@ class Units:
         """All results by data set, as text: equal to the bit, they are of equal data."""
         found: dict[str, list[Any]] = {}
         for run in self._done:
-            kept = {k: v for k, v in run.metrics.items() if not frame.COSTS.match(k)}
+            kept = {k: v for k, v in run.metrics.items() if not is_cost(k)}
             found.setdefault(data_set(run), []).append(kept)
         return {name: json.dumps(every, sort_keys=True) for name, every in found.items()}
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from rbtm_bench.core.columns import REFERENCES
 from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.report import best_settings, render
 from rbtm_bench.report import intervals as statistics
-from rbtm_bench.report import tables
 from rbtm_bench.report.frame import METHOD, MethodRuns
 from rbtm_bench.report.intervals import Statistic
 from rbtm_bench.report.units import Units, grouped, is_number, methods, shared
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 BESIDE = {
-    **{key: names[:1] for key, names in tables.SECOND.items()},
+    **{key: names[:1] for key, names in best_settings.SECOND.items()},
     "relations_translation_mean_m": (
         "relations_local_translation_mean_m",
         "relations_long_translation_mean_m",
@@ -95,7 +95,7 @@ def keys_of(group: Sequence[MethodRuns], beside: bool) -> list[str]:
     import pandas as pd
 
     rows = pd.DataFrame([method.row for method in group])
-    main = tables.main_error(rows)
+    main = best_settings.main_error(rows)
     if main is None:
         return []
     more = BESIDE[main[0]] if beside else ()
@@ -127,9 +127,9 @@ def folded(table: pd.DataFrame) -> pd.DataFrame:
 def _cell(value: float | None, low: float | None, high: float | None, n: int) -> str:
     if value is None or np.isnan(value):
         return ""
-    words = tables.three_digits(value)
+    words = render.three_digits(value)
     if low is not None and high is not None and not np.isnan(low):
-        words += f" [{tables.three_digits(low)}, {tables.three_digits(high)}]"
+        words += f" [{render.three_digits(low)}, {render.three_digits(high)}]"
     return f"{words} ({n})"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,6 @@ from rbtm_bench.similarity.base import Descriptor, Similarity
 
 if TYPE_CHECKING:
     from rbtm_bench.datasets.base import Dataset
-    from rbtm_bench.runs.settings import Settings
 
 Progress = Callable[[int, int, str], None]
 
@@ -66,8 +65,8 @@ class Scores:
         columns = [self.at_gap(g) for g in range(1, self.widest)]
         return sum(int(np.isnan(c).sum()) for c in columns) / max(1, sum(map(len, columns)))
 
-    def write(self, path: Path, settings: Settings) -> None:
-        """A numpy archive, not compressed: scores do not get smaller, it would only take time."""
+    def write(self, path: Path, config: Mapping[str, Any]) -> None:
+        """A numpy archive with the settings, not compressed: scores would not get smaller."""
         metres: dict[str, Any] = {} if self.metres is None else {"metres": self.metres}
 
         def save(partial: Path) -> None:
@@ -77,7 +76,7 @@ class Scores:
                     scores=self.scores,
                     scans=np.arange(len(self.scores)),
                     stamps=self.stamps,
-                    settings=np.array(json.dumps(settings.config)),
+                    settings=np.array(json.dumps(config)),
                     **metres,
                 )
 

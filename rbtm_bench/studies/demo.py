@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from rbtm_bench import plots
-from rbtm_bench.cli.commands import guarded
 from rbtm_bench.core.files import make_folder
+from rbtm_bench.core.guarded import guarded
 from rbtm_bench.engine import drive
 from rbtm_bench.engine.progress import bar
 from rbtm_bench.report import screen

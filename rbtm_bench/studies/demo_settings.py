@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from rbtm_bench.cli.commands import main as rbtm_bench
 from rbtm_bench.report import frame
 from rbtm_bench.runs import stored
+from rbtm_bench.studies.own_command import rbtm_bench
 
 BACKENDS = "open3d_p2p,open3d_p2plane,open3d_gicp,kiss_icp"
 SEEDS = "100,101,102,103,104"

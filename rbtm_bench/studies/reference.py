@@ -24,10 +24,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from rbtm_bench.cli.commands import guarded
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.files import make_folder, write_text
 from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
+from rbtm_bench.core.guarded import guarded
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.kitti import Kitti

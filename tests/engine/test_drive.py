@@ -14,7 +14,7 @@ import pytest
 
 from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError, DataError
-from rbtm_bench.engine import drive
+from rbtm_bench.engine import drive, one_run
 from rbtm_bench.runs.grid import make_points
 
 PLUGINS = '''
@@ -256,7 +256,7 @@ def test_check_data_opens_every_data_set(tmp_path: Path) -> None:
     ):
         points, _ = make_points(["backend=none", *words])
         with pytest.raises((DataError, ConfigError)):
-            drive.check_data(points)
+            one_run.check_data(points)
 
 
 def test_jobs_by_default_are_the_cores_of_this_process() -> None:

@@ -3,7 +3,6 @@ shared, and a whole run."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -141,7 +140,7 @@ RUNS = {
 
 def rows(run: list[Step]) -> list[dict[str, Any]]:
     exempt = (*TIMES, "reused")
-    return [{k: v for k, v in asdict(s.record).items() if k not in exempt} for s in run]
+    return [{k: v for k, v in s.record.as_dict().items() if k not in exempt} for s in run]
 
 
 @pytest.mark.parametrize("name", RUNS)

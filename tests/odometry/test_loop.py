@@ -226,7 +226,7 @@ def test_keyframes_in_the_window_and_every_scan_registered() -> None:
 @pytest.mark.parametrize("backend", [Perfect(), Perfect(lost=[(1, 2)], unusable=[3])])
 def test_times_are_never_negative(backend) -> None:
     for step in odometry(drive(6), method(backend, Rbtm(4))):
-        stages = [name for name in vars(step.record) if name.startswith("t_")]
+        stages = [name for name in step.record.as_dict() if name.startswith("t_")]
         assert len(stages) == 6
         assert all(getattr(step.record, stage) >= 0.0 for stage in stages)
 

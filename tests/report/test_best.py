@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 
 from rbtm_bench.cli.commands import main
 from rbtm_bench.core.files import write_json, write_text
-from rbtm_bench.report import frame, screen, tables
+from rbtm_bench.report import best_settings, frame, render, screen
 from rbtm_bench.runs import stored
 
 MM = "final_translation_error_mm"
@@ -60,7 +60,7 @@ def make_run(
 
 
 def best_of(*folders: Path) -> list[dict[str, Any]]:
-    table = tables.best(frame.over_seeds(stored.find_runs(folders)))
+    table = best_settings.best(frame.over_seeds(stored.find_runs(folders)))
     return table.astype(object).where(table.notna(), None).to_dict(orient="records")
 
 
@@ -132,8 +132,8 @@ def test_data_sets_have_their_own_main_error(tmp_path: Path) -> None:
     corridor, log = best_of(tmp_path)
     assert (corridor["data"], corridor["window"], corridor[MM]) == ("corridor", 8, 8.0)
     assert (log["data"], log["window"], log[RELATIONS]) == ("carmen", 8, 0.4)
-    table = tables.best(frame.over_seeds(stored.find_runs([tmp_path])))
-    columns, main_errors = tables.best_columns(table)
+    table = best_settings.best(frame.over_seeds(stored.find_runs([tmp_path])))
+    columns, main_errors = best_settings.best_columns(table)
     assert set(main_errors) == {MM, RELATIONS} and columns[-2:] == ["ms_per_scan", "tried"]
 
 
@@ -141,8 +141,8 @@ def test_a_second_error_stands_beside_the_main_one(tmp_path: Path) -> None:
     make_run(
         tmp_path / "a", "rbtm", 9.0, metrics={"ape_rmse_m": 0.1, "final_rotation_error_deg": 1}
     )
-    table = tables.best(frame.over_seeds(stored.find_runs([tmp_path])))
-    assert tables.best_columns(table)[0][-4:] == [MM, "ape_rmse_m", "ms_per_scan", "tried"]
+    table = best_settings.best(frame.over_seeds(stored.find_runs([tmp_path])))
+    assert best_settings.best_columns(table)[0][-4:] == [MM, "ape_rmse_m", "ms_per_scan", "tried"]
 
 
 def test_a_setting_with_a_failed_run_does_not_beat_a_whole_one(tmp_path: Path) -> None:
@@ -175,28 +175,28 @@ def test_of_equal_settings_the_smallest_window_stands_for_all(tmp_path: Path) ->
         make_run(tmp_path / f"{window}", "rbtm", 5.0 if window < 16 else 6.0, window=window)
     (row,) = best_of(tmp_path)
     assert (row["window"], row["equal"], row["tried"]) == (4, 2, 3)
-    table = tables.best(frame.over_seeds(stored.find_runs([tmp_path])))
-    assert any("smallest window" in line for line in tables.chances(table))
+    table = best_settings.best(frame.over_seeds(stored.find_runs([tmp_path])))
+    assert any("smallest window" in line for line in best_settings.chances(table))
 
 
 # --- what is said about it
 
 
 def test_unequal_tries_are_named_in_words(sweep: Path) -> None:
-    table = tables.best(frame.over_seeds(stored.find_runs([sweep])))
-    first, second = tables.chances(table)
+    table = best_settings.best(frame.over_seeds(stored.find_runs([sweep])))
+    first, second = best_settings.chances(table)
     assert "chosen on the very data shown" in first
     assert second == (
         "rbtm had 2 settings to choose from, keyframe and previous 1 each: not an equal chance"
     )
-    one = tables.best(table.drop(columns=["tried", "equal"]))
-    assert tables.chances(one) == []  # a setting each: nothing was chosen
+    one = best_settings.best(table.drop(columns=["tried", "equal"]))
+    assert best_settings.chances(one) == []  # a setting each: nothing was chosen
 
 
 def test_tries_that_differ_between_backends_name_them(sweep: Path) -> None:
     make_run(sweep / "z", "previous", 1.0, seed=0, shared={"backend": {"radius": 9}})
-    table = tables.best(frame.over_seeds(stored.find_runs([sweep])))
-    assert tables.chances(table)[1:] == [
+    table = best_settings.best(frame.over_seeds(stored.find_runs([sweep])))
+    assert best_settings.chances(table)[1:] == [
         "gicp: rbtm had 2 settings to choose from, keyframe and previous 1 each: "
         "not an equal chance",
         "p2p: previous and rbtm had 2 settings each to choose from, keyframe 1: "
@@ -208,8 +208,8 @@ def test_equal_tries_are_said_to_be_equal(tmp_path: Path) -> None:
     for value in (4, 8):
         make_run(tmp_path / f"r{value}", "rbtm", float(value), window=value)
         make_run(tmp_path / f"g{value}", "fixed_gap", float(value), gap=value)
-    table = tables.best(frame.over_seeds(stored.find_runs([tmp_path])))
-    assert tables.chances(table)[1:] == ["every method had 2 settings to choose from"]
+    table = best_settings.best(frame.over_seeds(stored.find_runs([tmp_path])))
+    assert best_settings.chances(table)[1:] == ["every method had 2 settings to choose from"]
 
 
 # --- the screen at the end
@@ -340,7 +340,7 @@ def test_table_merges_sweeps_and_warns_on_standard_error(tmp_path: Path, capsys:
     assert told.err.startswith("warning: open3d differs") and told.err.count("\n") == 1
 
 
-@pytest.mark.parametrize("fmt", tables.FORMATS)
+@pytest.mark.parametrize("fmt", render.FORMATS)
 def test_table_best_rebuilds_the_end_of_a_sweep(sweep: Path, capsys: Any, fmt: str) -> None:
     assert main(["table", str(sweep), "--best", "--format", fmt]) == 0
     told = capsys.readouterr()

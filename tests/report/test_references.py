@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 from rbtm_bench.cli.commands import main
-from rbtm_bench.report import tables
+from rbtm_bench.report import best_settings, render
 from rbtm_bench.report.references import accompanied, judged, with_references
 from rbtm_bench.runs import stored
 
@@ -71,18 +71,18 @@ def test_numbers_without_a_companion_have_no_references(table: pd.DataFrame) -> 
     assert accompanied(table, ["run", "ape_rmse_m"]) == ["run", "ape_rmse_m"]
 
 
-@pytest.mark.parametrize("fmt", tables.FORMATS)
+@pytest.mark.parametrize("fmt", render.FORMATS)
 def test_every_format_has_them(table: pd.DataFrame, fmt: str) -> None:
-    text = tables.render(table, fmt)
+    text = render.render(table, fmt)
     assert len(re.findall(r"\(truth\)", text)) == 2  # in the columns run and backend
     assert len(re.findall(r"\(no motion\)", text)) == 4
     assert "_truth" not in text and r"\_truth" not in text and "still" not in text
 
 
 def test_csv_keeps_whole_numbers_of_methods(table: pd.DataFrame) -> None:
-    rows = list(csv.DictReader(io.StringIO(tables.render(table, "csv"))))
+    rows = list(csv.DictReader(io.StringIO(render.render(table, "csv"))))
     assert rows[0]["scans"] == "12" and rows[4]["scans"] == ""
-    as_json = json.loads(tables.render(table, "json"))
+    as_json = json.loads(render.render(table, "json"))
     assert as_json[0]["scans"] == 12 and as_json[4]["scans"] is None
     assert as_json[4]["map_cells"] == 400
 
@@ -92,32 +92,32 @@ def test_csv_keeps_whole_numbers_of_methods(table: pd.DataFrame) -> None:
     [("backend,map_cells", "backend"), ("selector,map_cells", "selector"), ("map_cells", "row")],
 )
 def test_chosen_columns_bring_their_references(table: pd.DataFrame, names: str, named: str) -> None:
-    chosen = table[tables.existing_columns(table, names)]
-    rows = json.loads(tables.render(chosen, "json"))
+    chosen = table[render.existing_columns(table, names)]
+    rows = json.loads(render.render(chosen, "json"))
     assert [row["map_cells"] for row in rows[4:]] == [400, 300, 40]
     assert [row[named] for row in rows[4:]] == ["(truth)", "(no motion)", "(no motion)"]
     assert [row["data"] for row in rows[4:]] == ["corridor", "corridor", "carmen"]
     one = table[:2]
-    rows = json.loads(tables.render(one[tables.existing_columns(one, names)], "json"))
+    rows = json.loads(render.render(one[render.existing_columns(one, names)], "json"))
     assert len(rows) == 4 and "data" not in rows[0]  # one data set needs no name
 
 
 def test_the_screen_of_a_comparison_has_them(table: pd.DataFrame) -> None:
     one = table[:2].assign(seeds=1, map_cells=350)  # the same in every row: shown all the same
-    shown, same = tables.screen(one)
+    shown, same = render.screen(one)
     assert "map_cells" not in same and "status done" in same
-    rows = json.loads(tables.render(shown, "json"))
+    rows = json.loads(render.render(shown, "json"))
     assert [row["map_cells"] for row in rows] == [350, 350, 400, 300]
-    alone, _ = tables.screen(table[:1])
-    rows = json.loads(tables.render(alone, "json"))
+    alone, _ = render.screen(table[:1])
+    rows = json.loads(render.render(alone, "json"))
     assert [row["map_cells"] for row in rows] == [350, 400, 300]
 
 
 def test_maps_measured_by_other_settings_have_their_own_references(table: pd.DataFrame) -> None:
     two = table[:2].assign(settings=["gap=3 metrics.map_quality.cell=0.1", "gap=3"])
     two["map_cells_truth"] = [100, 400]
-    chosen = two[tables.existing_columns(two, "backend,map_cells")]
-    rows = json.loads(tables.render(chosen, "json"))[2:]
+    chosen = two[render.existing_columns(two, "backend,map_cells")]
+    rows = json.loads(render.render(chosen, "json"))[2:]
     told = [(row["backend"], row["settings"], row["map_cells"]) for row in rows]
     coarse = "metrics.map_quality.cell=0.1"
     assert told == [
@@ -137,15 +137,15 @@ def test_over_seeds_references_are_medians(table: pd.DataFrame) -> None:
 
 def test_nothing_is_ranked_by_the_map(table: pd.DataFrame) -> None:
     """The winner has the larger map and the higher entropy; without an error there is none."""
-    assert not any(key.startswith("map_") for key, _, _ in tables.ERRORS)
+    assert not any(key.startswith("map_") for key, _, _ in best_settings.ERRORS)
     methods = table[:2].assign(selector="rbtm", backend="plicp", window=8, threshold=[0.1, 0.2])
-    best = tables.best(methods)
+    best = best_settings.best(methods)
     assert len(best) == 1 and best["run"][0] == "b" and best["map_cells"][0] == 500
-    columns, main_errors = tables.best_columns(best)
+    columns, main_errors = best_settings.best_columns(best)
     assert main_errors == ["ape_rmse_m"] and not any(c.startswith("map_") for c in columns)
-    nothing = tables.best(methods.drop(columns="ape_rmse_m"))
+    nothing = best_settings.best(methods.drop(columns="ape_rmse_m"))
     assert nothing["run"][0] is None and nothing["map_cells"][0] is None
-    rows = json.loads(tables.render(nothing, "json"))
+    rows = json.loads(render.render(nothing, "json"))
     assert [row["run"] for row in rows] == [None]
 
 

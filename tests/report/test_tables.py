@@ -15,7 +15,7 @@ import pytest
 
 from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError
-from rbtm_bench.report import tables
+from rbtm_bench.report import best_settings, render, verdict
 
 THIRD = 1 / 3
 
@@ -69,7 +69,7 @@ SECOND = ["b&2", "failed", "", "x|y <z> 50%", "", "12", ""]
 
 
 def test_csv_keeps_everything(table: pd.DataFrame) -> None:
-    rows = list(csv.DictReader(io.StringIO(tables.render(table, "csv"))))
+    rows = list(csv.DictReader(io.StringIO(render.render(table, "csv"))))
     assert list(rows[0]) == list(table)
     assert float(rows[0]["ape_rmse_m"]) == THIRD
     assert rows[1]["ape_rmse_m"] == rows[1]["window"] == rows[0]["relations_used"] == ""
@@ -77,16 +77,16 @@ def test_csv_keeps_everything(table: pd.DataFrame) -> None:
 
 
 def test_json_keeps_everything(table: pd.DataFrame) -> None:
-    rows = json.loads(tables.render(table, "json"))
+    rows = json.loads(render.render(table, "json"))
     assert list(rows[0]) == list(table)
     assert rows[0]["ape_rmse_m"] == THIRD and rows[0]["scans"] == 12
     assert rows[1]["ape_rmse_m"] is None and rows[0]["relations_used"] is None
     tiny = pd.DataFrame({"value": [1.2345678901234567e-9]})
-    assert json.loads(tables.render(tiny, "json")) == [{"value": 1.2345678901234567e-9}]
+    assert json.loads(render.render(tiny, "json")) == [{"value": 1.2345678901234567e-9}]
 
 
 def test_markdown(table: pd.DataFrame) -> None:
-    lines = tables.render(table, "md").splitlines()
+    lines = render.render(table, "md").splitlines()
     rows = [line.replace(r"\|", "\0").strip("|").split("|") for line in lines]
     cells = [[cell.strip().replace("\0", "|") for cell in row] for row in rows]
     assert cells[0] == SHOWN and cells[2:] == [FIRST, SECOND]
@@ -96,12 +96,12 @@ def test_markdown(table: pd.DataFrame) -> None:
 
 def test_html(table: pd.DataFrame) -> None:
     reader = Cells()
-    reader.feed(tables.render(table, "html"))
+    reader.feed(render.render(table, "html"))
     assert reader.rows == [SHOWN, FIRST, SECOND]
 
 
 def test_latex(table: pd.DataFrame) -> None:
-    text = tables.render(table, "latex")
+    text = render.render(table, "latex")
     lines = text.splitlines()
     assert lines[0] == r"\begin{tabular}{llrlrrr}" and lines[-1] == r"\end{tabular}"
     assert r"\toprule" in text and r"\bottomrule" in text
@@ -111,16 +111,16 @@ def test_latex(table: pd.DataFrame) -> None:
 
 
 def test_text(table: pd.DataFrame) -> None:
-    text = tables.render(table, "text")
+    text = render.render(table, "text")
     assert "relations" not in text and "nan" not in text.lower() and "None" not in text
     assert "0.3333" in text and "19998" in text and "x|y <z> 50%" in text
     assert len({len(line) for line in text.splitlines()}) <= 3  # aligned
 
 
 def test_numbers_in_words() -> None:
-    words = [tables._word(v) for v in (0.0, 4.0, 0.123456, 1e-7, 2.5e7, 123.456, 1234.5, 3, True)]
+    words = [render.word_of(v) for v in (0.0, 4.0, 0.123456, 1e-7, 2.5e7, 123.456, 1234.5, 3, True)]
     assert words == ["0", "4", "0.1235", "1e-07", "2.5e+07", "123.5", "1234", "3", "True"]
-    assert [tables._word(v) for v in (None, "", math.nan)] == ["", "", ""]
+    assert [render.word_of(v) for v in (None, "", math.nan)] == ["", "", ""]
 
 
 def test_every_format_of_real_runs_parses_back(
@@ -130,7 +130,7 @@ def test_every_format_of_real_runs_parses_back(
     words = ["backend=none", "selector=previous,rbtm", "dataset.scans=8", "pin=false"]
     assert main(["compare", *words, f"out='{out}'", "--jobs", "1"]) == 0
     found = {}
-    for fmt in tables.FORMATS:
+    for fmt in render.FORMATS:
         capsys.readouterr()
         assert main(["table", str(out), "--format", fmt]) == 0
         found[fmt] = capsys.readouterr().out
@@ -153,9 +153,9 @@ def test_every_format_of_real_runs_parses_back(
 
 
 def test_columns_by_name(table: pd.DataFrame) -> None:
-    assert tables.existing_columns(table, " run ,scans,") == ["run", "scans"]
+    assert render.existing_columns(table, " run ,scans,") == ["run", "scans"]
     with pytest.raises(ConfigError, match="--columns scan: no such column") as caught:
-        tables.existing_columns(table, "run,scan")
+        render.existing_columns(table, "run,scan")
     assert "scans" in str(caught.value)
 
 
@@ -164,10 +164,10 @@ def test_a_screen_shows_what_differs() -> None:
         method("previous", 10.0, coverage=1.0, rejected=0),
         method("rbtm", 20.0, coverage=1.0, rejected=2),
     )
-    shown, same = tables.screen(table)
+    shown, same = render.screen(table)
     assert "coverage" not in shown and "rejected" in shown and "backend" in shown
     assert "coverage 1" in same and "data corridor" in same
-    assert tables.screen(table[:1])[1] == ""
+    assert render.screen(table[:1])[1] == ""
 
 
 # --- verdicts
@@ -183,7 +183,7 @@ def method(
 ) -> dict[str, Any]:
     """A row of medians with one error."""
     row = {"dataset": "corridor", "data": data, "backend": backend, "selector": selector}
-    empty = dict.fromkeys(k for k, _, _ in tables.ERRORS)
+    empty = dict.fromkeys(k for k, _, _ in best_settings.ERRORS)
     return {**row, "settings": "", "status": "done", **empty, key: error, **more}
 
 
@@ -192,34 +192,34 @@ def frame(*rows: dict[str, Any]) -> pd.DataFrame:
 
 
 def test_better_worse_and_equal() -> None:
-    (line,) = tables.verdict(frame(method("previous", 100.0), method("rbtm", 20.0)))
+    (line,) = verdict.verdict(frame(method("previous", 100.0), method("rbtm", 20.0)))
     assert line == (
         "corridor, p2p: final position error of rbtm is 20 mm, "
         "of the best control, previous, 100 mm: rbtm is 5 times better."
     )
-    (line,) = tables.verdict(frame(method("previous", 20.0), method("rbtm", 50.0)))
+    (line,) = verdict.verdict(frame(method("previous", 20.0), method("rbtm", 50.0)))
     assert "rbtm is 2.5 times worse." in line
-    (line,) = tables.verdict(frame(method("previous", 20.0), method("rbtm", 20.0)))
+    (line,) = verdict.verdict(frame(method("previous", 20.0), method("rbtm", 20.0)))
     assert "rbtm is equal." in line
     for other in (20.9, 19.2):
-        (line,) = tables.verdict(frame(method("previous", other), method("rbtm", 20.0)))
+        (line,) = verdict.verdict(frame(method("previous", other), method("rbtm", 20.0)))
         assert "rbtm is as good, within 5%." in line
-    (line,) = tables.verdict(frame(method("previous", 21.1), method("rbtm", 20.0)))
+    (line,) = verdict.verdict(frame(method("previous", 21.1), method("rbtm", 20.0)))
     assert "times better" in line
-    (line,) = tables.verdict(frame(method("previous", 0.0), method("rbtm", 20.0)))
+    (line,) = verdict.verdict(frame(method("previous", 0.0), method("rbtm", 20.0)))
     assert "rbtm is worse." in line
 
 
 def test_the_best_control_and_previous_are_both_told() -> None:
     rows = [method("previous", 800.0), method("keyframe", 10.0), method("rbtm", 20.0)]
-    (line,) = tables.verdict(frame(*rows))
+    (line,) = verdict.verdict(frame(*rows))
     assert "of the best control, keyframe, 10 mm: rbtm is 2 times worse" in line
     assert line.endswith("; previous 800 mm, rbtm is 40 times better.")
 
 
 def test_the_baseline_without_registration_is_told() -> None:
     rows = [method("previous", 100.0), method("rbtm", 20.0), method("previous", 10.0, "none")]
-    (line,) = tables.verdict(frame(*rows))
+    (line,) = verdict.verdict(frame(*rows))
     assert line.endswith("; no registration 10 mm, rbtm is 2 times worse.")
 
 
@@ -229,7 +229,7 @@ def test_the_best_of_several_settings_is_called_that() -> None:
         method("rbtm", 40.0, window=8.0, threshold=0.5),
         method("rbtm", 20.0, window=64.0, threshold=0.75, settings="fallback=skip"),
     ]
-    (line,) = tables.verdict(frame(*rows))
+    (line,) = verdict.verdict(frame(*rows))
     assert "of rbtm (window 64, threshold 0.75, fallback=skip) is 20 mm" in line
     assert line.endswith("Best of 1 x previous, 2 x rbtm settings, chosen on this very data.")
 
@@ -241,7 +241,7 @@ def test_a_line_for_every_data_set_and_backend() -> None:
         for backend in ("p2p", "gicp")
         for selector, error in (("previous", 9.0), ("rbtm", 3.0))
     ]
-    lines = tables.verdict(frame(*rows))
+    lines = verdict.verdict(frame(*rows))
     heads = ["paper, p2p", "paper, gicp", "bare, p2p", "bare, gicp"]
     assert [line.split(":")[0] for line in lines] == heads
 
@@ -254,7 +254,7 @@ def test_each_data_set_is_judged_by_an_error_it_has() -> None:
         method("previous", 30.0),
         method("rbtm", 60.0),
     ]
-    first, second = tables.verdict(frame(*rows))
+    first, second = verdict.verdict(frame(*rows))
     assert first.startswith("aces, p2p: mean relation error of rbtm is 0.25 m")
     assert second.startswith("corridor, p2p: final position error of rbtm is 60 mm")
 
@@ -273,9 +273,9 @@ def test_each_data_set_is_judged_by_an_error_it_has() -> None:
     ids=["no controls", "no rbtm", "only none", "all failed", "control failed", "ours", "apart"],
 )
 def test_no_verdict_without_both_sides(rows: list[dict[str, Any]]) -> None:
-    assert tables.verdict(frame(*rows)) == []
+    assert verdict.verdict(frame(*rows)) == []
 
 
 def test_figures_have_three_digits() -> None:
-    words = [tables.three_digits(v) for v in (0.123456, 12.345, 123.45, 12345.6, 2e7)]
+    words = [render.three_digits(v) for v in (0.123456, 12.345, 123.45, 12345.6, 2e7)]
     assert words == ["0.123", "12.3", "123", "12346", "2e+07"]

@@ -13,7 +13,7 @@ import pytest
 from stat_helpers import LONG, MEAN, MM, check_latex, make_log, make_run, make_seeds, shown
 
 from rbtm_bench.cli.commands import main
-from rbtm_bench.report import tables, with_intervals
+from rbtm_bench.report import render, with_intervals
 from rbtm_bench.runs import stored
 
 
@@ -218,4 +218,4 @@ def test_options_that_do_not_fit(runs: Path, capsys: Any, words: list[str], why:
 
 
 def test_formats_are_those_of_all_tables() -> None:
-    assert set(tables.FORMATS) == {"text", "csv", "md", "latex", "html", "json"}
+    assert set(render.FORMATS) == {"text", "csv", "md", "latex", "html", "json"}

@@ -118,7 +118,7 @@ def test_written_and_read(corridor: Corridor, tmp_path: Path) -> None:
     from rbtm_bench.runs.settings import compose_settings
 
     found = compute(corridor, CurvatureCircular(), None, 100.0)
-    found.write(tmp_path / "s.npz", compose_settings([]))
+    found.write(tmp_path / "s.npz", compose_settings([]).config)
     with np.load(tmp_path / "s.npz") as read:
         assert set(read) == {"scores", "scans", "stamps", "metres", "settings"}
         np.testing.assert_array_equal(read["scores"], found.scores)

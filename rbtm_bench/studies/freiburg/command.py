@@ -20,9 +20,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from rbtm_bench.cli.commands import guarded
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.files import make_folder, write_text
+from rbtm_bench.core.guarded import guarded
 from rbtm_bench.engine import drive, sweep_folder
 from rbtm_bench.runs import stored
 from rbtm_bench.runs.stored import Run

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rbtm_bench.cli.installed import planar_backends
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.wording import shown
 from rbtm_bench.runs.grid import Point, make_points
+from rbtm_bench.runs.installed import planar_backends
 from rbtm_bench.runs.settings import Settings
 
 LOGS = {"aces": "ACES", "intel": "Intel", "mit-csail": "MIT CSAIL"}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from rbtm_bench.report import tables, with_intervals
+from rbtm_bench.report import render, with_intervals
 from rbtm_bench.studies.freiburg.numbers import CONTROLS
 from rbtm_bench.studies.freiburg.plan import (
     LOGS,
@@ -110,14 +110,14 @@ def medians(table: pd.DataFrame) -> list[str]:
         row: dict[str, object] = {"way": way, "backends": here["backend"].nunique()}
         for log in LOGS.values():
             numbers = here[here["log"] == log][["mean_m", "local_m", "long_m"]].median()
-            words = ["" if math.isnan(x) else tables.three_digits(x) for x in numbers]
+            words = ["" if math.isnan(x) else render.three_digits(x) for x in numbers]
             row[f"{log}: mean (local, long) m"] = f"{words[0]} ({words[1]}, {words[2]})"
         rows.append(row)
     ways = {way: here["local_m"].median() for way, here in table.groupby("way")}
-    lines = [tables.render(pd.DataFrame(rows), "md")]
+    lines = [render.render(pd.DataFrame(rows), "md")]
     if not any(math.isnan(ways.get(w, math.nan)) for w in ("previous", "fixed_gap", "rbtm")):
         previous, gap, rbtm = (
-            tables.three_digits(ways[way]) for way in ("previous", "fixed_gap", "rbtm")
+            render.three_digits(ways[way]) for way in ("previous", "fixed_gap", "rbtm")
         )
         lines.append(
             f"Local errors (medians over logs and backends: previous {previous} m, RBTM {rbtm} m, "
@@ -171,10 +171,10 @@ def _over_backends(pooled: pd.DataFrame, control: str, relations: str = "all") -
 
 
 def _interval(value: float, low: float, high: float) -> str:
-    words = tables.three_digits(value)
+    words = render.three_digits(value)
     if math.isnan(low):
         return words
-    return f"{words} [{tables.three_digits(low)}, {tables.three_digits(high)}]"
+    return f"{words} [{render.three_digits(low)}, {render.three_digits(high)}]"
 
 
 def _sentence(whole: pd.DataFrame) -> str:
@@ -223,13 +223,13 @@ def _by_backend(differences: pd.DataFrame) -> list[str]:
             by_control = {row.control: row for row in here.itertuples()}
             rows.append([str(backend), *(_cell(by_control[control]) for control in CONTROLS)])
         heads = [f"{log}: RBTM with", *(f"over {CONTROL_WORDS[c]}" for c in CONTROLS)]
-        blocks.append(tables.render(pd.DataFrame(rows, columns=heads), "md"))
+        blocks.append(render.render(pd.DataFrame(rows, columns=heads), "md"))
     return blocks
 
 
 def _cell(row: object) -> str:
     ratio, verdict = row.ratio, row.verdict  # type: ignore[attr-defined]
-    return "" if math.isnan(ratio) else tables.three_digits(ratio) + MARKS[verdict]
+    return "" if math.isnan(ratio) else render.three_digits(ratio) + MARKS[verdict]
 
 
 def _transfer(transfer: pd.DataFrame) -> list[str]:
@@ -238,15 +238,15 @@ def _transfer(transfer: pd.DataFrame) -> list[str]:
         return []
     wide = transfer.pivot(index="way", columns="log", values="times")
     wide = wide.reindex(index=transfer["way"].unique(), columns=transfer["log"].unique())
-    rows = wide.map(lambda x: "" if math.isnan(x) else tables.three_digits(x)).reset_index()
+    rows = wide.map(lambda x: "" if math.isnan(x) else render.three_digits(x)).reset_index()
     worst = transfer.loc[transfer["times"].idxmax()]
     return [
         "Mean relation error with the setting chosen on the other logs over that of the best try "
         "on the log itself, geometric mean over backends. 1 would be a choice that could not be "
         "better; the best try is lucky as well as good.",
-        tables.render(rows, "md"),
+        render.render(rows, "md"),
         f"The settings of `{worst['way']}` carry over worst, to {worst['log']}: "
-        f"{tables.three_digits(worst['times'])} times the error of its best try there. Gaps and "
+        f"{render.three_digits(worst['times'])} times the error of its best try there. Gaps and "
         "windows are counted in scans, and the robots move differently far between two.",
     ]
 
@@ -286,7 +286,7 @@ def markdown(table: pd.DataFrame, times: bool = True) -> str:
     found["ms"] = found["ms_per_scan"].astype(float).round(2)
     names = ["log", "backend", "way", "setting", "tried", "chosen_on", "status", *SHOWN]
     names += ["coverage", "mean_gap", *(["ms"] if times else [])]
-    return tables.render(found[names].rename(columns=SHOWN), "md")
+    return render.render(found[names].rename(columns=SHOWN), "md")
 
 
 def _limits() -> list[str]:

@@ -21,8 +21,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from rbtm_bench.cli.commands import guarded
 from rbtm_bench.core.files import write_text
+from rbtm_bench.core.guarded import guarded
 from rbtm_bench.engine import drive
 from rbtm_bench.runs.grid import Point
 from rbtm_bench.studies.campaign import Campaign, begin

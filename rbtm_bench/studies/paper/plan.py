@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Any
 
-from rbtm_bench.cli.installed import planar_backends
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.wording import shown
 from rbtm_bench.runs.grid import Point, make_points
+from rbtm_bench.runs.installed import planar_backends
 from rbtm_bench.runs.settings import Settings
 from rbtm_bench.studies.campaign import with_value
 from rbtm_bench.studies.paper.ways import NOISE_MM, Way, make_ways

@@ -12,8 +12,6 @@ starts anew. The logs are looked for in RBTM_BENCH_DATA or --data.
 from __future__ import annotations
 
 import argparse
-import contextlib
-import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,13 +19,13 @@ from typing import Any
 
 import pandas as pd
 
-from rbtm_bench.cli.commands import guarded
-from rbtm_bench.cli.commands import main as rbtm_bench
 from rbtm_bench.core.errors import DataError, RbtmBenchError
 from rbtm_bench.core.files import make_folder, write_text
+from rbtm_bench.core.guarded import guarded
 from rbtm_bench.engine.sweep_folder import versions
 from rbtm_bench.studies.freiburg.plan import LOGS, find_logs
 from rbtm_bench.studies.options import DATA, data_folder, make_parser
+from rbtm_bench.studies.own_command import rbtm_bench
 from rbtm_bench.studies.premise.plan import BACKENDS, SPACING, corrected_log, corridor_words
 from rbtm_bench.studies.premise.words import markdown
 
@@ -67,9 +65,7 @@ def calibrated(folder: Path, words: list[str], options: argparse.Namespace) -> p
         asked = ["calibrate", f"similarity={','.join(SIMILARITIES)}", *words]
         asked += [f"backend={options.backends}", "overwrite=true"]
         asked += ["--out", str(folder), "--jobs", str(options.jobs)]
-        text = io.StringIO()
-        with contextlib.redirect_stdout(text):
-            code = rbtm_bench(asked)
+        code = rbtm_bench(asked, quiet=True)
         if code:
             raise DataError(f"rbtm-bench {' '.join(asked)}: exit code {code}")
     found = pd.read_csv(folder / "roc.csv")

@@ -24,9 +24,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rbtm_bench.cli.commands import guarded
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.files import make_folder, write_text
+from rbtm_bench.core.guarded import guarded
 from rbtm_bench.engine import drive
 from rbtm_bench.runs.grid import Point
 from rbtm_bench.studies.campaign import Campaign, begin

@@ -1,12 +1,33 @@
-"""Which plug-ins can be used here: what studies of "every backend" go through."""
+"""Which plug-ins can be used on this machine."""
 
 from __future__ import annotations
 
+import importlib.util
 from functools import cache
+from typing import Any
 
-from rbtm_bench.cli.about import missing_library
+from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.runs.plugins import is_system, locate
 from rbtm_bench.runs.settings import member_nodes
+
+
+def missing_library(group: str, name: str, node: dict[str, Any] | ConfigError) -> str | None:
+    """Why a plug-in cannot be used here, or None."""
+    if isinstance(node, ConfigError):
+        return str(node)
+    try:
+        cls = locate(f"{group}={name}", str(node.get("_target_")))
+    except ConfigError as error:
+        return str(error)
+    absent = [package for package in getattr(cls, "requires", ()) if not is_importable(package)]
+    return f"needs {', '.join(absent)}" if absent else None
+
+
+def is_importable(package: str) -> bool:
+    try:
+        return importlib.util.find_spec(package) is not None
+    except (ImportError, ValueError):
+        return False
 
 
 @cache

@@ -1,0 +1,111 @@
+"""Tables as text, CSV, Markdown, LaTeX, HTML and JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from rbtm_bench.core.columns import COLUMNS, KNOWN
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.report.frame import METHOD
+from rbtm_bench.report.references import accompanied, judged, with_references
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FORMATS = ("text", "csv", "md", "latex", "html", "json")
+
+SHORT = (*METHOD, "seeds", "status", *(column.name for column in COLUMNS if column.screen))
+"""The columns of the table at the end of ``compare``."""
+
+ALWAYS = ("backend", "selector", "tried")
+
+
+def render(table: pd.DataFrame, fmt: str) -> str:
+    """The table in one of ``FORMATS``. Text, Markdown, LaTeX and HTML leave out columns that are
+    empty in every row and round to 4 digits; CSV and JSON keep everything. Numbers that say little
+    without those of the truth and of no motion have them in rows at the end."""
+    table = with_references(table)
+    if fmt == "csv":
+        return table.to_csv(index=False).rstrip("\n")
+    if fmt == "json":
+        rows = table.astype(object).to_dict(orient="records")
+        return json.dumps(
+            [{k: None if is_empty(v) else v for k, v in row.items()} for row in rows], indent=1
+        )
+    shown = table[[c for c in table if not all(is_empty(v) for v in table[c])]]
+    words = shown.map(word_of)
+    numeric = {c for c in shown if all(is_number(v) or is_empty(v) for v in shown[c])}
+    if fmt == "html":
+        return words.to_html(index=False, border=0, na_rep="", justify="left")
+    if fmt == "latex":
+        style = "".join("r" if c in numeric else "l" for c in shown)
+        return str(
+            words.style.hide(axis="index")
+            .format(escape="latex")
+            .format_index(escape="latex", axis=1)
+            .to_latex(column_format=style, hrules=True)
+        ).rstrip("\n")
+    from tabulate import tabulate
+
+    align = ["right" if c in numeric else "left" for c in shown]
+    headers = list(shown) if fmt == "md" else [_stacked(str(c)) for c in shown]
+    kind = "pipe" if fmt == "md" else "simple"
+    if fmt == "md":
+        words = words.map(lambda word: word.replace("|", "\\|"))
+    return tabulate(
+        words.to_numpy().tolist(), headers, tablefmt=kind, colalign=align, disable_numparse=True
+    )
+
+
+def existing_columns(table: pd.DataFrame, names: str) -> list[str]:
+    """The columns of a comma list. Raises ``ConfigError`` for one that is not there."""
+    wanted = [name.strip() for name in names.split(",") if name.strip()]
+    for name in wanted:
+        if name not in table:
+            raise ConfigError(f"--columns {name}: no such column. Known: {', '.join(table)}")
+    return accompanied(table, wanted)
+
+
+def screen(
+    table: pd.DataFrame, columns: Sequence[str] = SHORT, keep: Sequence[str] = ALWAYS
+) -> tuple[pd.DataFrame, str]:
+    """The columns that fit a screen, and in words those that are the same in every row (unless
+    they are to be kept)."""
+    shown = table[accompanied(table, [c for c in columns if c in table])]
+    if len(table) < 2:
+        return shown, ""
+    keep = (*keep, *accompanied(shown, judged(shown)))
+    same = [c for c in shown if c not in keep and len({word_of(v) for v in shown[c]}) == 1]
+    words = [f"{c} {word_of(shown[c].iloc[0])}" for c in same if word_of(shown[c].iloc[0])]
+    return shown.drop(columns=same), ", ".join(words)
+
+
+def three_digits(value: float) -> str:
+    """Three significant digits, without an exponent for everyday numbers."""
+    return f"{value:.0f}" if 100 <= abs(value) < 1e6 else f"{value:.3g}"
+
+
+def _stacked(column: str) -> str:
+    """A column's short name over several lines, so that tables stay narrow."""
+    short = KNOWN[column].short if column in KNOWN else ""
+    return (short or column).replace("_", "\n")
+
+
+def is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and value == value
+
+
+def is_empty(value: Any) -> bool:
+    return value is None or value == "" or (isinstance(value, float) and math.isnan(value))
+
+
+def word_of(value: Any) -> str:
+    if is_empty(value):
+        return ""
+    if isinstance(value, float):
+        whole = abs(value) < 1e6 and (abs(value) >= 1e3 or value == round(value))
+        return f"{value:.0f}" if whole else f"{value:.4g}"
+    return str(value)
