@@ -28,7 +28,7 @@ NOTHING = 72.0
 """Squared Mahalanobis distance from which on exp(-d^2/2) is lost in rounding."""
 
 
-class Settings(NamedTuple):
+class NdtSettings(NamedTuple):
     """When the optimisation stops."""
 
     max_iterations: int
@@ -84,7 +84,7 @@ class NDT2D(Backend):
         self.cell_sizes = [float(size) for size in cell_sizes]
         self.min_points = min_points
         self.eigenvalue_ratio = eigenvalue_ratio
-        self.settings = Settings(max_iterations, translation_epsilon, rotation_epsilon)
+        self.settings = NdtSettings(max_iterations, translation_epsilon, rotation_epsilon)
         corner = np.array([[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0, 0.1, 0]], dtype=np.float64)
         tiny = Prepared(corner, True, self.build(corner, True))
         self.align(tiny, tiny, np.eye(4))  # compiles the kernels
@@ -174,7 +174,7 @@ def score_terms(points: Array, cells: Cells, pose: Array) -> Array:
 
 @kernel
 def maximise(
-    points: Array, cells: Cells, pose: Array, settings: Settings
+    points: Array, cells: Cells, pose: Array, settings: NdtSettings
 ) -> tuple[Array, Array, int, bool]:
     """Climb the score from ``pose`` (x, y, theta): the pose reached, its ``score_terms``, the
     iterations, and whether they converged (section V)."""

@@ -35,7 +35,7 @@ class Surface(NamedTuple):
     turn: float
 
 
-class Settings(NamedTuple):
+class PlicpSettings(NamedTuple):
     """``PointToLineICP``'s parameters as its kernels take them."""
 
     distance: float
@@ -124,7 +124,7 @@ def match(
     xy: Array,
     surface: Surface,
     pose: Array,
-    settings: Settings,
+    settings: PlicpSettings,
     refines: bool,
     moved: Array,
     matches: Matches,

@@ -35,7 +35,7 @@ STEEPEST = 8.0
 the beam) has no reliable direction."""
 
 
-class Settings(NamedTuple):
+class PsmSettings(NamedTuple):
     """What the kernels need to know, in m and rad."""
 
     shift: float
@@ -117,7 +117,7 @@ class PolarScanMatching(Backend):
         self.min_range = min_range
         self.max_range = np.inf if max_range is None else max_range
         self.bins = bins
-        self.settings = Settings(
+        self.settings = PsmSettings(
             shift=float(np.deg2rad(max_orientation_shift)),
             C=weighting_factor,
             change_weight_iteration=change_weight_iteration,
@@ -177,7 +177,7 @@ def match(
     reference: Array,
     bins: Bins,
     start: tuple[float, float, float],
-    settings: Settings,
+    settings: PsmSettings,
 ) -> tuple[tuple[float, float, float], int, bool]:
     """The pose (x m, y m, theta rad) of ``source`` in the frame of the reference ranges (B,) m,
     the iterations taken, and whether the corrections became small."""
@@ -275,7 +275,7 @@ def information(
     reference: Array,
     bins: Bins,
     pose: tuple[float, float, float],
-    settings: Settings,
+    settings: PsmSettings,
 ) -> tuple[Array, float, float]:
     """Information (3, 3) of a small motion x, y (m), rz (rad) of the source in its own frame, the
     weighted RMS (m) of the range differences, and the share of seen bearings where they count.

@@ -271,7 +271,7 @@ def test_a_map_that_flew_apart_has_less_entropy_than_the_truth() -> None:
 # --- as part of a run
 
 
-class Plain(Metric):
+class PoseCount(Metric):
     """A metric as others write them: it knows nothing of scans."""
 
     columns: ClassVar[dict[str, str]] = {"poses": "count; poses; own"}
@@ -284,10 +284,10 @@ class Duck:
     """Not even derived from ours."""
 
     columns: ClassVar[dict[str, str]] = {"poses": "count; poses; own"}
-    evaluate = Plain.evaluate
+    evaluate = PoseCount.evaluate
 
 
-@pytest.mark.parametrize("metric", [Plain(), Duck()])
+@pytest.mark.parametrize("metric", [PoseCount(), Duck()])
 def test_metrics_without_scans_work_as_ever(metric: Any) -> None:
     data = Clouds([WALL, WALL])
     assert evaluated(metric, path(still(2)), None, data) == {"poses": 2}

@@ -199,14 +199,14 @@ def test_nor_does_a_similarity_outside_of_the_loop() -> None:
 
 
 def test_nor_does_a_backend_in_a_study_of_pairs() -> None:
-    class Spy(Perfect):
+    class Blindfolded(Perfect):
         def prepare(self, scan):
             assert scan.ground_truth is None
             return super().prepare(scan)
 
     target, source = driven(2)
     pair = Pair(target, source, inverse(target.ground_truth) @ source.ground_truth, None)
-    (found,) = register_all(Spy(), [pair], [np.eye(4)])
+    (found,) = register_all(Blindfolded(), [pair], [np.eye(4)])
     assert found.metres == pytest.approx(0.0, abs=1e-12)
 
 
