@@ -43,7 +43,7 @@ class NDT2D(Backend):
     half a cell; a cell of at least ``min_points`` has the mean and the covariance of its points,
     whose smaller eigenvalue is at least ``eigenvalue_ratio`` of the larger. The score (section IV)
     is the sum of exp(-q^T S^-1 q / 2) over source points and their four cells, q from the cell's
-    mean to the moved point. Its maximum is found by Newton's method with the gradient and Hessian
+    mean to the moved point. Newton's method climbs to its maximum with the gradient and Hessian
     of section V. A Hessian that is not positive definite gets a multiple of the identity (rotation
     counted as the way it moves a point at the RMS range). Of ours: a step moves no point at that
     range farther than half a cell, and is halved until the score rises.

@@ -116,8 +116,9 @@ class PointToLineICP(Backend):
         moving, surface = source.native, target.native
         # between the turned frames, in which the points of both scans are sorted
         guess = turned(T_target_source, surface.turn, -moving.turn)
-        found = iterate(moving.points.xy, surface, guess, self.settings)
-        pose, ending, iterations, matches, mean_square = found
+        pose, ending, iterations, matches, mean_square = iterate(
+            moving.points.xy, surface, guess, self.settings
+        )
         T = se2(*turned(se2(*pose), -surface.turn, moving.turn))
         if ending == LOST:
             return Alignment(T, converged=False, iterations=iterations)

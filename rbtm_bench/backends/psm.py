@@ -85,7 +85,7 @@ class PolarScanMatching(Backend):
 
     ``converged`` is True if the corrections became small in time, False if they did not, or if
     too few bearings are seen in both scans (the result is then the last pose). The library's
-    fitness is the share of the seen bearings with |dr| < max_error, its RMSE that of dr there.
+    fitness is the share of the seen bearings with |dr| < max_error, its RMSE that of their dr.
     The papers' covariance is a guess that knows two cases (corridor or not); the information
     given is that of the range differences instead, with the directions of surfaces taken from the
     reference, over their weighted variance (at least 1 mm squared).
@@ -300,7 +300,7 @@ def information(
         w = C / (C + dr * dr)
         squares += w * dr * dr
         weights += w
-        # of both sides the flatter one: across the edge of an object there is no surface
+        # of both sides the flatter one: nothing spans the edge of an object
         left = (r - reference[(b - 2) % count]) / (2.0 * bins.step * r)
         right = (reference[(b + 2) % count] - r) / (2.0 * bins.step * r)
         slope = left if abs(left) < abs(right) else right
