@@ -239,13 +239,13 @@ def test_drift_makes_a_worse_map(seed: int) -> None:
         environment="cluttered", scans=61, odometry_noise_rotation_deg=0.3, seed=seed
     )
     metric, exact = MapQuality(centres=2000), truth.T_world_scan
-    found = []
+    values = []
     for share in (0.0, 0.5, 1.0):
         estimate = path(between(exact, corridor.odometry, share))
-        found.append(metric.evaluate_scans(estimate, truth, corridor))
+        values.append(metric.evaluate_scans(estimate, truth, corridor))
     for key in ("map_entropy_nat", "map_variance_mm2"):
-        assert found[0][key] < found[1][key] < found[2][key]
-    assert found[0]["map_cells"] < found[2]["map_cells"]
+        assert values[0][key] < values[1][key] < values[2][key]
+    assert values[0]["map_cells"] < values[2]["map_cells"]
 
 
 def test_in_a_bare_corridor_no_motion_beats_the_truth() -> None:
