@@ -19,7 +19,8 @@ from rbtm_bench.odometry.method import Method
 from rbtm_bench.selection.base import Selector
 from rbtm_bench.selection.previous import Previous
 from rbtm_bench.similarity.base import Similarity
-from rbtm_bench.target.base import SingleScan, Target
+from rbtm_bench.target.base import Target
+from rbtm_bench.target.single import SingleScan
 
 NAN = float("nan")
 

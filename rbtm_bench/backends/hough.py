@@ -83,9 +83,9 @@ def correlate_columns(target: Array, source: Array, low: int, out: Array) -> Non
         first, last = max(0, -start), min(len(out), len(target) - start)
         if first >= last:
             continue
-        here, there, value = out[first:last], target[start + first : start + last], source[c]
-        for s in range(len(here)):  # views counted from 0, or it is not vectorised
-            here[s] += value * there[s]
+        sums, cells, value = out[first:last], target[start + first : start + last], source[c]
+        for s in range(len(sums)):  # views counted from 0, or it is not vectorised
+            sums[s] += value * cells[s]
 
 
 @kernel
@@ -109,8 +109,8 @@ def peaks(
         before, after = neighbours(values, i, is_circular)
         is_open[i] = allowed[i] and values[i] > 0.0 and values[i] >= before and values[i] > after
     places = np.empty(most)
-    found = 0
-    while found < most:
+    n = 0
+    while n < most:
         best = -1
         for i in range(count):
             if is_open[i] and (best < 0 or values[i] > values[best]):
@@ -119,8 +119,8 @@ def peaks(
             break
         before, after = neighbours(values, best, is_circular)
         bend = before - 2.0 * values[best] + after
-        places[found] = best + (0.5 * (before - after) / bend if bend < 0.0 else 0.0)
-        found += 1
+        places[n] = best + (0.5 * (before - after) / bend if bend < 0.0 else 0.0)
+        n += 1
         for i in range(count):
             distance = abs(i - best)
             if is_circular:
@@ -128,7 +128,7 @@ def peaks(
             if distance < apart:
                 is_open[i] = False
         is_open[best] = False
-    return places[:found]
+    return places[:n]
 
 
 @kernel

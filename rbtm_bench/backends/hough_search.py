@@ -1,4 +1,4 @@
-"""Hypotheses of Hough scan matching, compiled: found in the Hough domain, then held against the
+"""Hypotheses of Hough scan matching, compiled: peaks of the Hough domain, then held against the
 points themselves."""
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SMALL_STEP = 1e-6
 
 
 class HoughScan(NamedTuple):
-    """``points`` (N, 2) m sorted for neighbours, and the surface's unit ``normals`` (N, 2) there.
+    """``points`` (N, 2) m sorted for neighbours, and the surface's unit ``normals`` (N, 2).
 
     What votes: ``xy`` (M, 2) m about the ``middle`` (x, y) m of all points, at most ``reach`` m
     from it, with ``weights`` (M,) that sum to 1, and their ``spectrum`` (K,).
@@ -110,10 +110,10 @@ def hypotheses(target: HoughScan, source: HoughScan, search: Search, guess: Pose
             theta = turn * width + half * np.pi
             if angle_between(theta, guess[2]) > search.max_rotation:
                 continue
-            found = translations(target, source, search, theta, angles, guess, heights)
-            out[count : count + len(found), :2] = found
-            out[count : count + len(found), 2] = theta
-            count += len(found)
+            best = translations(target, source, search, theta, angles, guess, heights)
+            out[count : count + len(best), :2] = best
+            out[count : count + len(best), 2] = theta
+            count += len(best)
     return out[:count]
 
 
@@ -140,21 +140,23 @@ def translations(
     shifts = np.full((count, search.peaks), np.nan)
     allowed = np.ones(length, dtype=np.bool_)
     for d in range(count):
-        there = vote(target.xy, target.weights, (1.0, 0.0), angles[d], search.cell, target.reach)
-        here = vote(source.xy, source.weights, (c, s), angles[d], search.cell, source.reach)
+        of_target = vote(
+            target.xy, target.weights, (1.0, 0.0), angles[d], search.cell, target.reach
+        )
+        of_source = vote(source.xy, source.weights, (c, s), angles[d], search.cell, source.reach)
         along = (gx * np.cos(angles[d]) + gy * np.sin(angles[d])) / search.cell
         lows[d] = (int(np.round(along)) if is_local else 0) - length // 2
-        correlate_columns(there, here, lows[d], heights[d])
+        correlate_columns(of_target, of_source, lows[d], heights[d])
         highest = heights[d].max()
         if highest > 0.0:
             heights[d] /= highest
         places = peaks(heights[d], False, allowed, search.peaks, search.peaks_apart)
         shifts[d, : len(places)] = (places + lows[d]) * search.cell
-    found = crossings(shifts, heights, lows, angles, search.cell)
+    candidates = crossings(shifts, heights, lows, angles, search.cell)
     out = np.empty((TRANSLATIONS, 2))
     n = 0
-    for i in range(len(found)):
-        x, y = found[i, 0] - mx, found[i, 1] - my
+    for i in range(len(candidates)):
+        x, y = candidates[i, 0] - mx, candidates[i, 1] - my
         is_new = np.hypot(x - guess[0], y - guess[1]) <= search.max_translation
         for k in range(n):
             is_new = is_new and np.hypot(x - out[k, 0], y - out[k, 1]) > APART_M
@@ -169,7 +171,7 @@ def crossings(
     shifts: Array, heights: Array, lows: NDArray[np.int64], angles: Array, cell: float
 ) -> Array:
     """Translations (P, 2) m that two directions agree on: ``shifts`` (D, Q) m along ``angles``
-    (D,), NaN where there are fewer. The best first, by the sum over all directions of the
+    (D,), NaN after the last of each. The best first, by the sum over all directions of the
     correlations ``heights`` (D, L), which start at a shift of ``lows`` (D,) cells."""
     count, most = shifts.shape
     out = np.empty((count * (count - 1) // 2 * most * most, 2))

@@ -55,7 +55,7 @@ class HoughScanMatching(Backend):
        a second time turned by 180 deg, as HS has that period.
     3. For each, the columns of HT in a few directions where both spectra are high are
        cross-correlated; a peak at d says u . t = d for the translation t along the direction u.
-       Two directions give t; how high all correlations are there ranks the translations.
+       Two directions give t; how high all correlations are at t ranks the translations.
     4. The hypotheses are ranked by likelihood: the mean over source points of 1 - (d / radius)^2,
        d the distance to the nearest target point, 0 from ``likelihood_radius`` m on.
 
@@ -160,11 +160,11 @@ class HoughScanMatching(Backend):
         xy, radius = scan.points.xy, self.likelihood_radius
         within = WIDER * radius
         stride = max(1, len(xy) // SCREENING_POINTS)
-        found = hypotheses(model, scan, self.search, guess)
-        found = likeliest(found, model.points, xy, within, stride, REFINED)
+        starts = hypotheses(model, scan, self.search, guess)
+        starts = likeliest(starts, model.points, xy, within, stride, REFINED)
         few = min(FIRST_ITERATIONS, self.refine_iterations)
         some = np.ascontiguousarray(xy[::stride])  # to tell them apart that will do
-        first = [refine(model, some, tuple(p), within, few) for p in found]
+        first = [refine(model, some, tuple(p), within, few) for p in starts]
         first = [(pose, n) for pose, n in first if self._is_within_limits(pose, guess)]
         if not first:
             return Alignment(T_target_source, False, 0)

@@ -44,7 +44,7 @@ class KissICPSystem(System):
 
     requires = ("kiss_icp",)
     library = "KISS-ICP (MIT)"
-    converged_means = "not said; False where nothing of the scan meets the map"
+    converged_means = "not reported; False where nothing of the scan meets the map"
     repeats = "same bits; one thread, the library's limit"
 
     def __init__(
@@ -130,8 +130,8 @@ class _Pipeline(Tracker):
 
 
 class _Watched:
-    """KISS-ICP's registration, which hands back its guess where nothing corresponds: seen here,
-    because only here are the map as it was and the guess at hand."""
+    """KISS-ICP's registration, which hands back its guess where nothing corresponds. Watched,
+    because only its call has the guess and the map as it was."""
 
     def __init__(self, registration: Any) -> None:
         self._registration = registration

@@ -28,7 +28,7 @@ NOTHING = 72.0
 """Squared Mahalanobis distance from which on exp(-d^2/2) is lost in rounding."""
 
 
-class Settings(NamedTuple):
+class NdtSettings(NamedTuple):
     """When the optimisation stops."""
 
     max_iterations: int
@@ -43,7 +43,7 @@ class NDT2D(Backend):
     half a cell; a cell of at least ``min_points`` has the mean and the covariance of its points,
     whose smaller eigenvalue is at least ``eigenvalue_ratio`` of the larger. The score (section IV)
     is the sum of exp(-q^T S^-1 q / 2) over source points and their four cells, q from the cell's
-    mean to the moved point. Its maximum is found by Newton's method with the gradient and Hessian
+    mean to the moved point. Newton's method climbs to its maximum with the gradient and Hessian
     of section V. A Hessian that is not positive definite gets a multiple of the identity (rotation
     counted as the way it moves a point at the RMS range). Of ours: a step moves no point at that
     range farther than half a cell, and is halved until the score rises.
@@ -84,7 +84,7 @@ class NDT2D(Backend):
         self.cell_sizes = [float(size) for size in cell_sizes]
         self.min_points = min_points
         self.eigenvalue_ratio = eigenvalue_ratio
-        self.settings = Settings(max_iterations, translation_epsilon, rotation_epsilon)
+        self.settings = NdtSettings(max_iterations, translation_epsilon, rotation_epsilon)
         corner = np.array([[0, 0, 0], [0.1, 0, 0], [0.2, 0, 0], [0, 0.1, 0]], dtype=np.float64)
         tiny = Prepared(corner, True, self.build(corner, True))
         self.align(tiny, tiny, np.eye(4))  # compiles the kernels
@@ -174,7 +174,7 @@ def score_terms(points: Array, cells: Cells, pose: Array) -> Array:
 
 @kernel
 def maximise(
-    points: Array, cells: Cells, pose: Array, settings: Settings
+    points: Array, cells: Cells, pose: Array, settings: NdtSettings
 ) -> tuple[Array, Array, int, bool]:
     """Climb the score from ``pose`` (x, y, theta): the pose reached, its ``score_terms``, the
     iterations, and whether they converged (section V)."""

@@ -20,7 +20,7 @@ EMPTY = -1
 
 
 class Cells(NamedTuple):
-    """Cells with a normal distribution, found by half-cell.
+    """Cells with a normal distribution, looked up by half-cell.
 
     ``normals`` (C, 5): mean x, y (m) and inverse covariance xx, xy, yy (1/m^2). ``slots`` is a
     hash table from half-cells to rows of ``over`` (H, 4), where the rows of ``normals`` of the

@@ -1,7 +1,7 @@
 """Nearest neighbours among a few hundred planar points, compiled: a sweep along one axis.
 
 A laser scan has so few points that a k-d tree costs more to build than it saves. Sorted along the
-axis of larger spread, the nearest point is found by walking both ways until the axis alone is
+axis of larger spread, the search for the nearest point walks both ways until the axis alone is
 farther than the best so far. Compiled once and cached; callers compile by their first call.
 """
 
@@ -55,7 +55,7 @@ def nearest_2d(points: Sorted2D, x: float, y: float, radius: float) -> tuple[int
             low = middle + 1
         else:
             high = middle
-    best, found = radius * radius, -1
+    best, nearest = radius * radius, -1
     up, down = low, low - 1
     while up < len(xy) or down >= 0:
         ahead = np.inf if up >= len(xy) else (xy[up, axis] - along) ** 2
@@ -69,8 +69,8 @@ def nearest_2d(points: Sorted2D, x: float, y: float, radius: float) -> tuple[int
             down -= 1
         square = (xy[place, 0] - x) ** 2 + (xy[place, 1] - y) ** 2
         if square < best:
-            best, found = square, place
-    return found, (np.sqrt(best) if found >= 0 else np.inf)
+            best, nearest = square, place
+    return nearest, (np.sqrt(best) if nearest >= 0 else np.inf)
 
 
 @kernel

@@ -11,7 +11,7 @@ class NoRegistration(Backend):
 
     is_baseline = True
     library = "none"
-    converged_means = "never said"
+    converged_means = "never reported"
 
     def build(self, points: Array, planar: bool) -> None:
         return None

@@ -1,7 +1,7 @@
 """What Open3D's ICP methods share: clouds, robust kernels, shrinking distances, information."""
 
-# No postponed annotations here and in the subclasses: settings are checked against the types of
-# these fields, which a subclass in another module inherits.
+# No postponed annotations in this class and its subclasses: settings are checked against the types
+# of these fields, which a subclass in another module inherits.
 from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -89,7 +89,7 @@ def point_information(points: Array) -> Array:
     """The (6, 6) information of a small motion d = (x, y, z, rx, ry, rz) of matched points (N, 3)
     m about their origin: the sum of J^T J with J = [I, -skew(p)], the motion of a point.
 
-    Open3D's definition, from correspondences that are there already, translation first.
+    Open3D's definition, from correspondences already known, translation first.
     """
     n = float(len(points))
     x, y, z = (points.T @ np.ones(len(points))).tolist()

@@ -29,7 +29,7 @@ class Open3DNDT(Backend):
 
     What differs from Takeuchi and Tsubouchi, and from Magnusson 2009: it minimises the mean of
     squared Mahalanobis distances by Gauss-Newton, where they maximise a sum of exp(-d^2/2) by
-    Newton; a pair beyond the threshold does not count at all, so the objective jumps there; cells
+    Newton; a pair beyond the threshold does not count at all, so the objective has jumps; cells
     do not overlap (a point meets up to seven instead), and their size stays the same from far to
     near; steps are neither checked nor shortened. Every pair also pulls along the wall, to the
     middle of its cell: in corridors it sticks as point-to-point ICP does.
@@ -44,7 +44,7 @@ class Open3DNDT(Backend):
     requires = ("open3d",)
     library = "Open3D (MIT)"
     repeats = "same bits on one core only (`pin=true`)"
-    converged_means = "not said; False where fewer than 6 points lie near a cell"
+    converged_means = "not reported; False where fewer than 6 points lie near a cell"
     self_tolerance = 2e-3  # points are compared with the means of cells
 
     def __init__(
@@ -80,7 +80,7 @@ class Open3DNDT(Backend):
     def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
         import open3d as o3d
 
-        # what it would print, scan by scan, is said by `converged`
+        # what it would print, scan by scan, is in `converged`
         with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
             result = o3d.pipelines.registration.registration_ndt(
                 source.native, target.native, self._option, T_target_source

@@ -2,8 +2,8 @@
 
 Points of one plane have a normal out of that plane for a PCA on 3D neighbours: point-to-plane
 then returns its guess, and generalized ICP turns into point-to-point. Every backend that needs
-normals or covariances takes them from here for planar scans; a library that makes its own and
-takes none gets the scan in two layers instead.
+normals or covariances takes them from this module for planar scans; a library that makes its own
+and takes none gets the scan in two layers instead.
 """
 
 from __future__ import annotations

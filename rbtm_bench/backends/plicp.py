@@ -10,7 +10,7 @@ from annotated_types import Ge, Gt, Le
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.backends.plicp_covariance import motion_information
-from rbtm_bench.backends.plicp_match import Settings, Surface, match, shortened, surface_of
+from rbtm_bench.backends.plicp_match import PlicpSettings, Surface, match, shortened, surface_of
 from rbtm_bench.backends.plicp_step import Matches, step_to_lines, step_to_points
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import se2
@@ -90,7 +90,7 @@ class PointToLineICP(Backend):
         super().__init__(max_correspondence_distance, voxel_size)
         self.min_segment_length = min_segment_length
         self.sigma = sigma
-        self.settings = Settings(
+        self.settings = PlicpSettings(
             distance=max_correspondence_distance,
             to_line=metric == "point_to_line",
             max_iterations=max_iterations,
@@ -116,8 +116,9 @@ class PointToLineICP(Backend):
         moving, surface = source.native, target.native
         # between the turned frames, in which the points of both scans are sorted
         guess = turned(T_target_source, surface.turn, -moving.turn)
-        found = iterate(moving.points.xy, surface, guess, self.settings)
-        pose, ending, iterations, matches, mean_square = found
+        pose, ending, iterations, matches, mean_square = iterate(
+            moving.points.xy, surface, guess, self.settings
+        )
         T = se2(*turned(se2(*pose), -surface.turn, moving.turn))
         if ending == LOST:
             return Alignment(T, converged=False, iterations=iterations)
@@ -147,7 +148,7 @@ def turned(T: Array, before: float, after: float) -> Array:
 
 @kernel
 def iterate(
-    xy: Array, surface: Surface, guess: Array, settings: Settings
+    xy: Array, surface: Surface, guess: Array, settings: PlicpSettings
 ) -> tuple[Array, int, int, Matches, float]:
     """Match, trim, solve, and again.
 
@@ -188,7 +189,7 @@ def iterate(
 
 
 @kernel
-def is_near(a: Array, b: Array, settings: Settings) -> bool:
+def is_near(a: Array, b: Array, settings: PlicpSettings) -> bool:
     """True if two poses (x, y, theta) differ by less than epsilon."""
     shift = np.hypot(a[0] - b[0], a[1] - b[1])
     return shift < settings.epsilon_xy and abs(a[2] - b[2]) < settings.epsilon_theta

@@ -1,4 +1,4 @@
-"""What is matched in an ICP of planar scans: segments of the target, found, then trimmed."""
+"""The matches of an ICP of planar scans: points to segments of the target, then trimmed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Surface(NamedTuple):
     turn: float
 
 
-class Settings(NamedTuple):
+class PlicpSettings(NamedTuple):
     """``PointToLineICP``'s parameters as its kernels take them."""
 
     distance: float
@@ -106,17 +106,17 @@ def neighbour(
     """The place of the nearest point to point ``j`` that is at least ``min_length`` and less than
     ``reach`` m away, not at the same place and not in the direction (ux, uy); and its distance in
     m. -1 for none. ``xy`` is sorted by x."""
-    nearest, found = reach * reach, -1
+    least, nearest = reach * reach, -1
     for way in (1, -1):
         k = j + way
-        while 0 <= k < len(xy) and (xy[k, 0] - xy[j, 0]) ** 2 < nearest:
+        while 0 <= k < len(xy) and (xy[k, 0] - xy[j, 0]) ** 2 < least:
             dx, dy = xy[k, 0] - xy[j, 0], xy[k, 1] - xy[j, 1]
             square = dx * dx + dy * dy
-            is_in_reach = 0.0 < square < nearest and square >= min_length * min_length
+            is_in_reach = 0.0 < square < least and square >= min_length * min_length
             if is_in_reach and dx * ux + dy * uy <= OTHER_WAY * np.sqrt(square):
-                nearest, found = square, k
+                least, nearest = square, k
             k += way
-    return found, np.sqrt(nearest)
+    return nearest, np.sqrt(least)
 
 
 @kernel
@@ -124,7 +124,7 @@ def match(
     xy: Array,
     surface: Surface,
     pose: Array,
-    settings: Settings,
+    settings: PlicpSettings,
     refines: bool,
     moved: Array,
     matches: Matches,

@@ -134,7 +134,7 @@ def on_the_circle(S: tuple[float, float, float], h: tuple[float, float]) -> tupl
     y = (S + lambda I)^-1 h with |y| = 1: Censi's quartic in lambda, whose largest root gives the
     minimum. In the eigenvectors of S it reads (g1 / (s1 + lambda))^2 + (g2 / (s2 + lambda))^2 = 1,
     falling and convex beyond -s1: Newton's method from below reaches that root and no other.
-    Without g1 there are two equal minima, of which the one nearer to (1, 0) is taken, and (1, 0)
+    Without g1 two minima are equal, of which the one nearer to (1, 0) is taken, and (1, 0)
     itself if they lie on either side of it.
     """
     low, high, ux, uy = eigen(S[0], S[1], S[2])
@@ -163,7 +163,7 @@ def on_the_circle(S: tuple[float, float, float], h: tuple[float, float]) -> tupl
 def near_no_turn(
     S: tuple[float, float, float], h: tuple[float, float], c: float, s: float
 ) -> tuple[float, float]:
-    """The other minimum of the same, found by Newton's method in the angle from (1, 0), if it is a
+    """The other minimum of the same, by Newton's method in the angle from (1, 0), if it is a
     turn below 90 deg; else (c, s)."""
     angle = 0.0
     for _ in range(NEWTON_STEPS):

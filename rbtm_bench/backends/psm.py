@@ -35,7 +35,7 @@ STEEPEST = 8.0
 the beam) has no reliable direction."""
 
 
-class Settings(NamedTuple):
+class PsmSettings(NamedTuple):
     """What the kernels need to know, in m and rad."""
 
     shift: float
@@ -85,7 +85,7 @@ class PolarScanMatching(Backend):
 
     ``converged`` is True if the corrections became small in time, False if they did not, or if
     too few bearings are seen in both scans (the result is then the last pose). The library's
-    fitness is the share of the seen bearings with |dr| < max_error, its RMSE that of dr there.
+    fitness is the share of the seen bearings with |dr| < max_error, its RMSE that of their dr.
     The papers' covariance is a guess that knows two cases (corridor or not); the information
     given is that of the range differences instead, with the directions of surfaces taken from the
     reference, over their weighted variance (at least 1 mm squared).
@@ -117,7 +117,7 @@ class PolarScanMatching(Backend):
         self.min_range = min_range
         self.max_range = np.inf if max_range is None else max_range
         self.bins = bins
-        self.settings = Settings(
+        self.settings = PsmSettings(
             shift=float(np.deg2rad(max_orientation_shift)),
             C=weighting_factor,
             change_weight_iteration=change_weight_iteration,
@@ -177,7 +177,7 @@ def match(
     reference: Array,
     bins: Bins,
     start: tuple[float, float, float],
-    settings: Settings,
+    settings: PsmSettings,
 ) -> tuple[tuple[float, float, float], int, bool]:
     """The pose (x m, y m, theta rad) of ``source`` in the frame of the reference ranges (B,) m,
     the iterations taken, and whether the corrections became small."""
@@ -275,7 +275,7 @@ def information(
     reference: Array,
     bins: Bins,
     pose: tuple[float, float, float],
-    settings: Settings,
+    settings: PsmSettings,
 ) -> tuple[Array, float, float]:
     """Information (3, 3) of a small motion x, y (m), rz (rad) of the source in its own frame, the
     weighted RMS (m) of the range differences, and the share of seen bearings where they count.
@@ -300,7 +300,7 @@ def information(
         w = C / (C + dr * dr)
         squares += w * dr * dr
         weights += w
-        # of both sides the flatter one: across the edge of an object there is no surface
+        # of both sides the flatter one: nothing spans the edge of an object
         left = (r - reference[(b - 2) % count]) / (2.0 * bins.step * r)
         right = (reference[(b + 2) % count] - r) / (2.0 * bins.step * r)
         slope = left if abs(left) < abs(right) else right

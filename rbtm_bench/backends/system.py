@@ -47,7 +47,7 @@ class Tracker(ABC):
     def track(self, scan: Scan) -> Tracked:
         """Place the next scan of the sequence; a planar one in the plane.
 
-        Raises ``BackendError``, and goes on with the next scan as if there had been none, for
+        Raises ``BackendError``, and goes on with the next scan as if this one had not come, for
         points that are not finite or fewer than 6, or if the library fails.
         """
         points = np.array(scan.points, dtype=np.float64, order="C")  # the scan's stay as they are
@@ -80,7 +80,7 @@ class System(ABC):
     requires: tuple[str, ...] = ()
     """Names of the Python packages that must be importable."""
     library: str = ""
-    converged_means: str = "not said by the library"
+    converged_means: str = "not reported by the library"
     repeats: str = "same bits"
     """As those of ``Backend``: for the page of backends."""
     dimensions: tuple[Literal["2d", "3d"], ...] = ("2d", "3d")

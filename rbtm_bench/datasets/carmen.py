@@ -39,10 +39,10 @@ NOMINAL_STEP = 0.1
 
 
 class Carmen(Dataset):
-    """The FLASER lines of a CARMEN log (plain, gzip or bzip2, told by content).
+    """The FLASER lines of a CARMEN log (plain, gzip or bzip2, recognised by content).
 
     **Poses.** A raw log repeats its odometry in the FLASER lines. A corrected log holds a
-    corrected path there, in both pose triples: that is ``ground_truth``, never odometry.
+    corrected path in both of their pose triples: that is ``ground_truth``, never odometry.
     ``corrected`` says which it is; "auto" calls a log corrected if both triples are more than
     0.01 m or 0.5 deg off the ODOM line before, for more than half of the scans. A corrected log
     takes its odometry from the ODOM lines; where these jump to the corrected pose after every
@@ -193,7 +193,7 @@ def _poses(path: str, log: CarmenLog, corrected: bool) -> tuple[Array | None, Ar
             path,
             int(log.lines[missing[0]]),
             "FLASER",
-            "an ODOM line before it: a corrected log takes its odometry from there "
+            "an ODOM line before it: a corrected log takes its odometry from that "
             "(corrected=False if the poses of this log are the odometry)",
         )
     if not _odom_follows_correction(log):

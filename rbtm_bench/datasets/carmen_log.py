@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Relations
-from rbtm_bench.datasets.files import data_lines, found, to_numbers
+from rbtm_bench.datasets.files import data_lines, quoted, to_numbers
 
 BEAM_ANGLES_DEG: dict[int, tuple[float, float]] = {
     180: (-90.0, 1.0),
@@ -180,11 +180,11 @@ class _Reader:
         count = _COUNTS.get(word)
         if count is None:
             raise DataError.at(
-                self.path, number, "number of readings", f"one of {KNOWN_COUNTS}, {found(word)}"
+                self.path, number, "number of readings", f"one of {KNOWN_COUNTS}, {quoted(word)}"
             )
         if self.count is not None and count != self.count:
             raise DataError.at(
-                self.path, number, "number of readings", f"{self.count} as before, {found(word)}"
+                self.path, number, "number of readings", f"{self.count} as before, {quoted(word)}"
             )
         return count
 

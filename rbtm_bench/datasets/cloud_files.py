@@ -2,7 +2,7 @@
 
 Open3D answers a bad file with a warning and an empty cloud, a PLY file that was cut off with
 points of uninitialised memory, and a cut off ASCII PCD file with no warning at all. So the header
-is read here first, binary sizes are compared with it, and ASCII bodies are parsed by numpy.
+is read first, binary sizes are compared with it, and ASCII bodies are parsed by numpy.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A folder of point clouds, one file a scan, with a trajectory file if there is one."""
+"""A folder of point clouds, one file a scan, and their trajectory file, if any."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def wall_with_recesses(
     return polyline(*points, (x1, y))
 
 
-# After Fig. 3 of the paper: a walled corridor with recesses (here o: start, >: end of 1.8 m).
+# After Fig. 3 of the paper: a walled corridor with recesses (o: start, >: end of 1.8 m).
 #
 #      y      ___         ___           ____
 #   +1 _|____|   |_______|   |_________|    |________________
@@ -104,7 +104,7 @@ PAPER = Environment(
 )
 
 # Two walls and nothing else: the end walls stay 6 m away, so a 4 m laser cannot tell where along
-# the corridor it is. No method can be right here; a good one says so.
+# the corridor it is. No method can be right in it; a good one says so.
 #
 #   +1 ______________________________
 #      o - - - - - - - - - - ->

@@ -85,14 +85,14 @@ def to_numbers(
         values = list(map(float, words))
     except ValueError:
         bad = next(word for word in words if not _is_number(word))
-        raise DataError.at(path, line, field, f"a number, {found(bad)}") from None
+        raise DataError.at(path, line, field, f"a number, {quoted(bad)}") from None
     if finite and not all(map(math.isfinite, values)):
         bad = next(w for w, v in zip(words, values, strict=True) if not math.isfinite(v))
-        raise DataError.at(path, line, field, f"a finite number, {found(bad)}")
+        raise DataError.at(path, line, field, f"a finite number, {quoted(bad)}")
     return values
 
 
-def found(word: bytes) -> str:
+def quoted(word: bytes) -> str:
     """How a message quotes what stands in a file."""
     text = word[:20].decode("ascii", "backslashreplace")
     return f"{text!r} found" if text else "none found"

@@ -16,7 +16,7 @@ from rbtm_bench.datasets.kiss_loader import Frame, KissDataset, open_loader
 from rbtm_bench.datasets.poses_file import read_poses
 
 SEQUENCES_WITH_POSES = 11
-"""Sequences from here on are for KITTI's evaluation server: their poses are not public."""
+"""Sequences from this number on are for KITTI's evaluation server: their poses are not public."""
 
 CALIBRATION_TOLERANCE = 1e-3
 """How far Tr's rotation may be from an exact one."""
@@ -63,7 +63,7 @@ class Kitti(KissDataset):
         stamps = _read_times(folder / "times.txt")
         has_poses = sequence < SEQUENCES_WITH_POSES
         poses = Path(path) / "poses" / f"{name}.txt"
-        count = len(read_poses(_found(poses, "the official poses"))[1]) if has_poses else None
+        count = len(read_poses(_existing(poses, "the official poses"))[1]) if has_poses else None
         last = scans[-1][0]
         _require(folder / "times.txt", len(stamps), "times", last)
         if count is not None:
@@ -96,8 +96,8 @@ def _sequence_folder(path: Path, name: str) -> Path:
     if not sequences.is_dir():
         raise DataError(f"{sequences}: no such folder: expected KITTI's layout, sequences/00/...")
     if not (sequences / name).is_dir():
-        there = sorted(place.name for place in sequences.iterdir() if place.is_dir())
-        raise DataError(f"{sequences / name}: no such sequence; found {', '.join(there) or 'none'}")
+        names = sorted(place.name for place in sequences.iterdir() if place.is_dir())
+        raise DataError(f"{sequences / name}: no such sequence; found {', '.join(names) or 'none'}")
     return sequences / name
 
 
@@ -119,7 +119,7 @@ def _scan_files(folder: Path) -> list[tuple[int, Path]]:
 
 
 def _check_calibration(path: Path) -> None:
-    for line, words in data_lines(read_bytes(_found(path, "the line Tr: and 12 numbers"))):
+    for line, words in data_lines(read_bytes(_existing(path, "the line Tr: and 12 numbers"))):
         if words[0] == b"Tr:":
             values = to_numbers(path, line, "Tr", words[1:])
             if len(values) != 12:
@@ -134,14 +134,14 @@ def _check_calibration(path: Path) -> None:
 def _read_times(path: Path) -> list[float]:
     """Seconds since the first frame, one a line."""
     times = []
-    for line, words in data_lines(read_bytes(_found(path, "the frames' times"))):
+    for line, words in data_lines(read_bytes(_existing(path, "the frames' times"))):
         if len(words) != 1:
             raise DataError.at(path, line, "time", f"1 number, {len(words)} found")
         times += to_numbers(path, line, "time", words)
     return times
 
 
-def _found(path: Path, what: str) -> Path:
+def _existing(path: Path, what: str) -> Path:
     if not path.is_file():
         raise DataError(f"{path}: no such file: expected {what}")
     return path

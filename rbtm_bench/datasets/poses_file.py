@@ -1,4 +1,4 @@
-"""Read trajectory files: TUM or KITTI format, told apart by the number of columns."""
+"""Read trajectory files: TUM or KITTI format, distinguished by the number of columns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The chain of consecutive registrations: a good guess where there is no odometry."""
+"""The chain of consecutive registrations: a good guess without odometry."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class Ape(Metric):
         return None if ape is None else np.asarray(ape.error, dtype=np.float64)
 
     def _processed(self, estimate: Trajectory, truth: Trajectory | None) -> Any:
-        """evo's APE of the aligned positions, None where there is none."""
+        """evo's APE of the aligned positions, None where it is undefined."""
         pair = paired(estimate, truth)
         if pair is None or (self.align == "umeyama" and is_collinear(*pair)):
             return None

@@ -16,7 +16,7 @@ from rbtm_bench.metrics.base import Metric, Values, paired
 _FITTED = "kiss_icp.metrics.absolute_trajectory_error"
 
 
-class Kitti(Metric):
+class KittiErrors(Metric):
     """Mean error over segments of 100, 200, ... 800 m of the true path, relative to their length.
 
     Segments start at every tenth pose with a truth and end at the first pose beyond their length,

@@ -24,7 +24,7 @@ from rbtm_bench.metrics.base import MIN_POSES, ScanMetric, Values
 from rbtm_bench.metrics.neighbourhoods import Integers, occupied_cells, scatter
 
 RADIUS_M = {True: 0.3, False: 1.0}
-"""Unless told otherwise, for planar scans and clouds. Of clouds with rings 0.3 m (the default of
+"""The default, for planar scans and clouds. Of clouds with rings 0.3 m (the default of
 Razlaw's program) sees little but single rings, and no motion at all is crisper than the truth."""
 
 THINNEST_M = 1e-3
@@ -45,7 +45,7 @@ class MapQuality(ScanMetric):
     ``map_cells`` counts the cells of ``cell`` (m) that hold a point: squares in 2D, cubes in 3D.
 
     Time and memory are bounded by taking at most ``scans`` scans, spread evenly over those with a
-    truth (all, if there is none); of each at most ``points`` / ``scans`` points, spread evenly;
+    truth (all, if none has); of each at most ``points`` / ``scans`` points, spread evenly;
     and at most ``centres`` of all these, spread evenly, to look around. None of it depends on the
     estimate. The first pose is the identity for all, as the grid's place changes the count. Where
     one of these scans has no estimated pose every number of the estimate is None.

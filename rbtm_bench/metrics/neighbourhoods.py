@@ -40,7 +40,7 @@ def _keys(points: Array, cell: float) -> tuple[Integers, Integers]:
     it for each of the 3^(D-1) rows of cells around (points: (N, D)).
 
     Gaps between occupied cells count as one cell, so a map that flew apart needs no more numbers
-    than there are integers.
+    than an integer can count.
     """
     keys, rows = np.zeros(len(points), dtype=np.int64), np.zeros(1, dtype=np.int64)
     for axis in range(points.shape[1]):

@@ -39,7 +39,7 @@ class RelationErrors:
         return ~np.isnan(self.translation_m)
 
     def write(self, path: Path) -> None:
-        """A parquet file, a row a relation; an error that does not exist is null there."""
+        """A parquet file, a row a relation; an error that does not exist is null."""
         import pyarrow as pa
         import pyarrow.parquet as pq
 
@@ -55,9 +55,9 @@ class RelationErrors:
 
         try:
             table = pq.read_table(path, columns=list(COLUMNS))
-            found = {name: table[name].to_numpy() for name in COLUMNS}
-            local = found.pop("local").astype(bool)
-            return cls(local=local, **{k: v.astype(np.float64) for k, v in found.items()})
+            columns = {name: table[name].to_numpy() for name in COLUMNS}
+            local = columns.pop("local").astype(bool)
+            return cls(local=local, **{k: v.astype(np.float64) for k, v in columns.items()})
         except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
             text = " ".join(str(error).split()) or type(error).__name__
             raise DataError(f"{path}: errors of relations cannot be read: {text}") from error

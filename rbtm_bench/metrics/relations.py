@@ -106,7 +106,7 @@ def _counts(prefix: str, group: Mask, used: Mask) -> Values:
 
 
 def _spread(prefix: str, unit: str, errors: Array) -> Values:
-    """Mean and population standard deviation of the errors (M,), None if there are none."""
+    """Mean and population standard deviation of the errors (M,), None without any."""
     some = len(errors) > 0
     return {
         f"{prefix}_mean_{unit}": float(errors.mean()) if some else None,

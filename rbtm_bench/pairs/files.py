@@ -1,6 +1,6 @@
-"""The files of the pair store: opening, checking, locking, naming. Nothing here decides anything.
+"""The files of the pair store: opening, checking, locking, naming. They decide nothing.
 
-Every function may raise what ``TROUBLE`` lists; ``pairstore`` turns that into notes.
+Every function may raise what ``TROUBLE`` lists; ``store`` turns that into notes.
 """
 
 from __future__ import annotations
@@ -62,8 +62,8 @@ def open_store(path: Path, how: How) -> StoreFile:
     try:
         _verify(db)
         if journal := _JOURNAL.get(how):
-            (found,) = db.execute(f"PRAGMA journal_mode={journal.decode()}").fetchone()
-            if found != journal:
+            (mode,) = db.execute(f"PRAGMA journal_mode={journal.decode()}").fetchone()
+            if mode != journal:
                 raise OSError(f"no {journal.decode()} journal is possible: use mode per_worker")
         return StoreFile(path, db, path.stat().st_ino)
     except BaseException:
@@ -72,7 +72,7 @@ def open_store(path: Path, how: How) -> StoreFile:
 
 
 def insert(db: sqlite3.Connection, rows: Iterable[tuple[bytes, bytes]]) -> None:
-    """Write pairs in one short transaction; a pair that is there stays as it is."""
+    """Write pairs in one short transaction; a pair that is stored stays as it is."""
     try:
         db.execute("BEGIN IMMEDIATE")
         db.executemany("INSERT OR IGNORE INTO pairs VALUES (?, ?)", rows)
@@ -87,7 +87,7 @@ def check_shared(path: Path, clean: str, how: How) -> None:
     """Check a store before it is opened for sharing; ``clean`` is the stamp of its last closing.
 
     Its pages are looked through only if it was not closed cleanly, and not while others have it
-    open (the first of them has looked) or if there is more than 1 GB of them. In any case every
+    open (the first of them has looked) or if they are more than 1 GB. In any case every
     value carries a checksum of its own.
     """
     if clean and clean == stamp(path):
@@ -104,9 +104,9 @@ def check_shared(path: Path, clean: str, how: How) -> None:
 
 def check_pages(db: sqlite3.Connection) -> None:
     """Let SQLite look through all pages: about 1 ms a MB."""
-    (found,) = db.execute("PRAGMA quick_check(1)").fetchone()
-    if found != b"ok":
-        raise DamageError(found.decode(errors="replace").replace("\n", " "))
+    (verdict,) = db.execute("PRAGMA quick_check(1)").fetchone()
+    if verdict != b"ok":
+        raise DamageError(verdict.decode(errors="replace").replace("\n", " "))
 
 
 def stamp(path: Path) -> str:
@@ -149,7 +149,7 @@ def clear_partial(folder: Path, name: str) -> None:
 
 
 def inode(path: Path) -> int | None:
-    """The file that a path leads to just now; None if there is none."""
+    """The file that a path leads to just now; None if it leads to none."""
     try:
         return path.stat().st_ino
     except FileNotFoundError:
@@ -202,7 +202,7 @@ def is_quiet(path: Path) -> bool:
 
 
 def _connect(path: Path, how: How, wait: float = _WAIT) -> sqlite3.Connection:
-    """Connect; without any ``wait`` (s) for others, raises SQLITE_BUSY if there are any."""
+    """Connect; without any ``wait`` (s) for others, raises SQLITE_BUSY if any have it open."""
     # no mmap_size: a file that somebody cuts off would end the process with SIGBUS
     uri = f"{path.absolute().as_uri()}?{_OPTIONS[how]}"
     db = sqlite3.connect(uri, uri=True, timeout=wait, isolation_level=None)
@@ -231,9 +231,9 @@ def _create(path: Path) -> None:
 
 def _verify(db: sqlite3.Connection) -> None:
     for pragma, expected in (("application_id", _APPLICATION), ("user_version", FORMAT)):
-        (found,) = db.execute(f"PRAGMA {pragma}").fetchone()
-        if found != expected:
-            raise DamageError(f"{pragma} {found}: expected {expected}")
+        (value,) = db.execute(f"PRAGMA {pragma}").fetchone()
+        if value != expected:
+            raise DamageError(f"{pragma} {value}: expected {expected}")
     schema = db.execute("SELECT type, name, sql FROM sqlite_master").fetchall()
     if schema != [(b"table", b"pairs", _SCHEMA.encode())]:
         raise DamageError("another schema")

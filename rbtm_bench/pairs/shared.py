@@ -46,11 +46,11 @@ class Bounded(Generic[T]):
 
     def get(self, key: Any) -> T | None:
         """The item, or None; it is now the most recently used."""
-        found = self._items.get(key)
-        if found is None:
+        entry = self._items.get(key)
+        if entry is None:
             return None
         self._items.move_to_end(key)
-        return found[0]
+        return entry[0]
 
     def put(self, key: Any, item: T, size: float) -> T:
         """Keep an item of ``size`` bytes, at the cost of older ones."""

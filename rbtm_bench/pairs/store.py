@@ -66,7 +66,7 @@ class PairStore:
         self._due = 0.0  # when the oldest pending pair must be written
         self._files: list[StoreFile] = []  # where to look
         self._own: StoreFile | None = None  # the one of them to write to
-        self._own_path: Path | None = None  # per_worker, once there was something to write
+        self._own_path: Path | None = None  # per_worker, from the first write on
         self._rescan = 0.0
         self._damaged = 0
         self._pid = os.getpid()
@@ -74,7 +74,7 @@ class PairStore:
         self._ready()
 
     def get(self, key: bytes) -> RegistrationResult | BackendError | None:
-        """What any process has found out about a pair; None if nothing is known."""
+        """The outcome of a pair that any process has stored; None if it is not known."""
         if not self._ready():
             return None
         if self._pending:
@@ -277,7 +277,7 @@ class PairStore:
     def _start_anew(self, file: StoreFile, why: BaseException) -> None:
         if self.mode == "shared":
             with self._lock():
-                # still open here: SQLite does not touch a file that was moved under it
+                # still open: SQLite does not touch a file that was moved under it
                 if files.inode(file.path) == file.inode:
                     self._set_aside(file.path, why)
             self._close_files()
@@ -302,7 +302,7 @@ class PairStore:
         self._close_files()
         self._pending.clear()
         self._state = "off"
-        self._note(f"{self.folder}: pairs are neither looked up nor kept from here on: {why}")
+        self._note(f"{self.folder}: pairs are neither looked up nor kept from now on: {why}")
 
     def _note(self, text: str) -> None:
         if text not in self.notes:
@@ -355,7 +355,7 @@ def merge(folder: Path) -> int:
 
     To be called when no worker runs any more, by one process. Sealed files and those of killed
     workers are checked, folded in and deleted; files of processes that are alive on this machine
-    stay. Trouble is told by warnings, and what could not be folded in stays for the next time;
+    stay. Trouble becomes warnings, and what could not be folded in stays for the next time;
     0 if the store itself cannot be written.
     """
     folder = Path(folder)
@@ -371,7 +371,7 @@ def merge(folder: Path) -> int:
 
 
 _stores: weakref.WeakSet[PairStore] = weakref.WeakSet()
-_inherited: list[StoreFile] = []  # of the parent, never to be closed here
+_inherited: list[StoreFile] = []  # of the parent, never to be closed by a child
 
 
 def _park_all() -> None:

@@ -105,8 +105,8 @@ class Selector(ABC):
         return self.selection(self.order(scan, models, scores), models, scores)
 
     def pick(self, scan: Scan, trials: Sequence[Trial]) -> tuple[int, str]:
-        """Which of the accepted registrations is believed, and why: the first. One is all there
-        is unless ``tries_all``; ``scan`` has no ground truth."""
+        """Which of the accepted registrations is believed, and why: the first, and the
+        only one unless ``tries_all``; ``scan`` has no ground truth."""
         return 0, trials[0].candidate.reason
 
     def selection(

@@ -19,5 +19,5 @@ class FewestHops(ChainSelector):
     """
 
     def order_nodes(self, nodes: Sequence[Node], scores: Array) -> list[tuple[int, str]]:
-        found = sorted(self.passing(scores), key=lambda i: (nodes[i].hops, -scores[i], i))
-        return [(i, f"{nodes[i].hops} hops, {self.passed}") for i in found]
+        ranked = sorted(self.passing(scores), key=lambda i: (nodes[i].hops, -scores[i], i))
+        return [(i, f"{nodes[i].hops} hops, {self.passed}") for i in ranked]

@@ -13,7 +13,7 @@ from rbtm_bench.selection.base import Selector
 
 
 class FixedGap(Selector):
-    """The model scan is scan - ``gap`` (the oldest there is, at the start of a run)."""
+    """The model scan is scan - ``gap`` (the oldest scan, at the start of a run)."""
 
     def __init__(self, gap: Annotated[int, Ge(1)] = 10) -> None:
         super().__init__(capacity=gap)

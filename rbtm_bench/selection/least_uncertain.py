@@ -47,8 +47,8 @@ class LeastUncertain(ChainSelector):
 
     def order_nodes(self, nodes: Sequence[Node], scores: Array) -> list[tuple[int, str]]:
         unsure = {i: _position_std(nodes[i]) for i in self.passing(scores)}
-        found = sorted(unsure, key=lambda i: (unsure[i], i))
-        return [(i, f"{unsure[i]:.3g} m unsure, {self.passed}") for i in found]
+        ranked = sorted(unsure, key=lambda i: (unsure[i], i))
+        return [(i, f"{unsure[i]:.3g} m unsure, {self.passed}") for i in ranked]
 
 
 def _position_std(node: Node) -> float:

@@ -21,8 +21,8 @@ class RandomGap(Selector):
     """Each scan's gap is drawn from the gaps of another run.
 
     ``gaps_from`` is that run's folder (its ``steps.parquet`` is read), or ``gaps`` lists them.
-    Drawn with replacement by a generator seeded with ``seed``; a gap that reaches behind the
-    start becomes the oldest scan there is.
+    Drawn with replacement by a generator seeded with ``seed``; for a gap that reaches behind
+    the start the oldest scan is taken.
     """
 
     requires = ("pyarrow",)
@@ -53,7 +53,7 @@ def read_gaps(run: Path) -> list[int]:
 
     path = run / "steps.parquet" if run.is_dir() else run
     if not path.is_file():
-        raise DataError(f"selector.gaps_from={run}: no steps.parquet there: expected a run folder")
+        raise DataError(f"selector.gaps_from={run}: no steps.parquet: expected a run folder")
     try:
         column = pq.read_table(path, columns=["gap"]).column("gap").to_pylist()
     except Exception as error:

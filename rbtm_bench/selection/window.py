@@ -60,10 +60,10 @@ class Window:
 
     def node(self, scan: int) -> Node:
         """The member that is scan number ``scan``."""
-        found = self._by_scan.get(scan)
-        if found is None:
+        node = self._by_scan.get(scan)
+        if node is None:
             raise KeyError(f"scan {scan} is not in the window")
-        return found
+        return node
 
     def position(self, scan: int) -> int:
         """Where in the window (0 = oldest) scan number ``scan`` is."""

@@ -77,7 +77,7 @@ def _share(source: Points, target: Points, axis: int, T: Array, radius: float) -
 def _has_neighbour(
     points: Points, axis: int, x: float, y: float, z: float, radius: float, place: int
 ) -> bool:
-    """Whether any point is nearer to (x, y, z) than ``radius``: the first found will do."""
+    """Whether any point is nearer to (x, y, z) than ``radius``: the first such will do."""
     along = x if axis == 0 else (y if axis == 1 else z)
     square = radius * radius
     k = place

@@ -24,7 +24,7 @@ from rbtm_bench.similarity.base import Descriptor, Similarity
 Points = NDArray[np.float32]
 
 HEADER = 2
-"""Values of a descriptor before its points: how many there are, and the axis they are sorted by."""
+"""Values of a descriptor before its points: their number, and the axis they are sorted by."""
 
 
 class PointSimilarity(Similarity):
@@ -163,19 +163,19 @@ def nearest(
     """The number of the point nearest to (x, y, z) and its squared distance; (-1, radius^2) if
     none is nearer than ``radius``. ``place`` is where ``walk`` put it."""
     along = x if axis == 0 else (y if axis == 1 else z)
-    best, found = radius * radius, -1
+    best, number = radius * radius, -1
     # one way, then the other: taking turns visits fewer points, but the processor cannot foresee
     # which is next, and that costs more
     k = place
     while k < len(points) and (points[k, axis] - along) ** 2 < best:
         square = (points[k, 0] - x) ** 2 + (points[k, 1] - y) ** 2 + (points[k, 2] - z) ** 2
         if square < best:
-            best, found = square, k
+            best, number = square, k
         k += 1
     k = place - 1
     while k >= 0 and (points[k, axis] - along) ** 2 < best:
         square = (points[k, 0] - x) ** 2 + (points[k, 1] - y) ** 2 + (points[k, 2] - z) ** 2
         if square < best:
-            best, found = square, k
+            best, number = square, k
         k -= 1
-    return found, best
+    return number, best

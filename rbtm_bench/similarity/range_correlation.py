@@ -46,7 +46,7 @@ class RangeCorrelation(PairwiseSimilarity):
     def describe(self, scan: Scan) -> Array:
         """(3 B,): ranges in m less their mean, their squares, and the mask; 0 for no return.
 
-        Raises ``DataError`` if the spacing of the beams changes, or there is only one.
+        Raises ``DataError`` if the spacing of the beams changes, or for a single beam.
         """
         assert scan.ranges is not None and scan.angles is not None
         self._spacing = beam_spacing(scan.angles, self._spacing, "range_correlation")

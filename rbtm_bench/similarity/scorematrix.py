@@ -34,8 +34,8 @@ LEAST_BLOCK_MB = 50.0
 @dataclass(frozen=True, eq=False)
 class Scores:
     """Scores of N scans: (N, N) float32 with ``window`` None, row j the new scan, column k its
-    model; else (N, window - 1), column g - 1 scan j with scan j - g. NaN where undefined or where
-    there is no such scan. ``stamps`` (N,) s; ``metres`` (N,) travelled, None where not known;
+    model; else (N, window - 1), column g - 1 scan j with scan j - g. NaN where undefined or
+    without such a scan. ``stamps`` (N,) s; ``metres`` (N,) travelled, None where not known;
     ``guess`` says which motions a similarity that needs them was given."""
 
     scores: NDArray[np.float32]
@@ -46,7 +46,7 @@ class Scores:
 
     @property
     def widest(self) -> int:
-        """Gaps below this are there."""
+        """Gaps below this have scores."""
         count = len(self.scores)
         return count if self.window is None else min(self.window, count)
 
@@ -58,7 +58,7 @@ class Scores:
 
     @property
     def undefined_share(self) -> float:
-        """The share of undefined scores among the pairs that there are."""
+        """The share of undefined scores among the pairs that exist."""
         if self.window is None:
             missing = sum(int(np.isnan(row).sum()) for row in self.scores)
             return missing / max(1, self.scores.size)
@@ -146,7 +146,7 @@ def compute(
 def _described(
     dataset: Dataset, similarity: Similarity, tell: Progress
 ) -> tuple[Descriptor, Array, Array | None]:
-    """Descriptors (N, D), stamps (N,) and the poses (N, 4, 4) that distances are told by."""
+    """Descriptors (N, D), stamps (N,) and the poses (N, 4, 4) that distances are measured by."""
     count = len(dataset)
     descriptors: Descriptor | None = None
     stamps = np.zeros(count)

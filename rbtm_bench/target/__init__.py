@@ -1,0 +1,7 @@
+"""What a scan is registered to."""
+
+from rbtm_bench.target.base import Target
+from rbtm_bench.target.local_map import LocalMap
+from rbtm_bench.target.single import SingleScan
+
+__all__ = ["LocalMap", "SingleScan", "Target"]

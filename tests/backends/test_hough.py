@@ -88,10 +88,10 @@ def test_the_spectrum_does_not_see_translation(shift: tuple[float, float]) -> No
     xy = room(0.005)
     reach = reach_of(xy) + 3.0
     weights = np.full(len(xy), 1 / len(xy))
-    here = hough_spectrum(xy, weights, reach, CELL, 180)
-    there = hough_spectrum(xy + shift, weights, reach, CELL, 180)
-    assert np.abs(here - there).max() < 0.1 * here.max()
-    assert np.corrcoef(here, there)[0, 1] > 0.99
+    first = hough_spectrum(xy, weights, reach, CELL, 180)
+    shifted = hough_spectrum(xy + shift, weights, reach, CELL, 180)
+    assert np.abs(first - shifted).max() < 0.1 * first.max()
+    assert np.corrcoef(first, shifted)[0, 1] > 0.99
 
 
 @pytest.mark.parametrize("degrees", [0, 1, 37, 90, 179])
@@ -111,8 +111,8 @@ def test_half_a_turn_leaves_the_spectrum_as_it_is() -> None:
 def test_walls_are_where_the_spectrum_is_high() -> None:
     """Normals at 0 and 90 deg."""
     high = spectrum(room(0.005))
-    found = peaks(high, True, everywhere(high), 2, 20.0)
-    np.testing.assert_allclose(np.sort((found + 20.0) % 180.0), [20.0, 110.0], atol=1.0)
+    bins = peaks(high, True, everywhere(high), 2, 20.0)
+    np.testing.assert_allclose(np.sort((bins + 20.0) % 180.0), [20.0, 110.0], atol=1.0)
 
 
 def test_spectra_correlate_in_a_circle() -> None:
@@ -131,18 +131,18 @@ def test_columns_correlate_as_numpy_says(low: int, high: int) -> None:
     full = np.correlate(np.pad(target, 200), source, mode="valid")
     zero = 200 + 61 // 2 - 41 // 2
     expected = full[zero + low : zero + high + 1]
-    found = np.full(high - low + 1, np.nan)  # whatever was there
-    correlate_columns(target, source, low, found)
-    np.testing.assert_allclose(found, expected)
+    out = np.full(high - low + 1, np.nan)  # to be overwritten
+    correlate_columns(target, source, low, out)
+    np.testing.assert_allclose(out, expected)
 
 
 def test_shifted_columns_match_where_they_were_shifted_to() -> None:
     xy = room(0.005)
     weights = np.ones(len(xy))
-    there = vote(xy + np.array([0.6, 0.0]), weights, UPRIGHT, 0.0, CELL, reach_of(xy) + 1)
-    here = vote(xy, weights, UPRIGHT, 0.0, CELL, reach_of(xy))
+    shifted = vote(xy + np.array([0.6, 0.0]), weights, UPRIGHT, 0.0, CELL, reach_of(xy) + 1)
+    column = vote(xy, weights, UPRIGHT, 0.0, CELL, reach_of(xy))
     match = np.empty(61)
-    correlate_columns(there, here, -30, match)
+    correlate_columns(shifted, column, -30, match)
     assert match.argmax() - 30 == 12
 
 
@@ -180,10 +180,10 @@ def test_a_circle_has_no_end() -> None:
 
 
 def test_directions_are_strong_in_both_and_not_parallel() -> None:
-    here, there = np.full(180, 0.1), np.full(180, 0.1)
-    here[[20, 22, 110]] = 9.0, 8.0, 2.0
-    there[[50, 52, 140]] = 9.0, 8.0, 2.0  # turned by 30
-    chosen = directions(there, here, 30, 3)
+    source, target = np.full(180, 0.1), np.full(180, 0.1)
+    source[[20, 22, 110]] = 9.0, 8.0, 2.0
+    target[[50, 52, 140]] = 9.0, 8.0, 2.0  # turned by 30
+    chosen = directions(target, source, 30, 3)
     assert chosen[0] == 50
     assert chosen[1] == 140  # not 52, though it is stronger
     assert len(set(chosen.tolist())) == 3

@@ -222,8 +222,8 @@ def test_the_likeliest_are_different_and_in_order() -> None:
     target = sorted_2d(np.column_stack([np.linspace(0, 3, 31), np.zeros(31)]))
     xy = np.column_stack([np.linspace(0, 3, 31), np.zeros(31)])
     poses = np.array([[0.0, 0.09, 0.0], [0.0, 0.02, 0.0], [0.0, 0.01, 0.001], [1.5, 0.0, 0.0]])
-    found = likeliest(poses, target, xy, 0.2, 1, 3)
-    assert found[:, 1].tolist() == [0.01, 0.0]  # the first two are the third one's neighbours
+    best = likeliest(poses, target, xy, 0.2, 1, 3)
+    assert best[:, 1].tolist() == [0.01, 0.0]  # the first two are the third one's neighbours
     assert len(likeliest(poses, target, xy, 0.2, 1, 1)) == 1
 
 

@@ -41,7 +41,7 @@ def test_what_the_library_does_not_say_is_none(scans: tuple[Scan, Scan]) -> None
 
 
 def test_the_map_reaches_as_far_as_the_correspondence_distance(scans: tuple[Scan, Scan]) -> None:
-    """0.4 m away with a distance of 0.5 m: found only if the map's voxels are that large."""
+    """0.4 m away with a distance of 0.5 m: in reach only if the map's voxels are that large."""
     source, target = scans
     backend = KissICP(0.5)
     moved = replace(target, points=transform(se2(0.3, 0.0, 0.0), target.points))

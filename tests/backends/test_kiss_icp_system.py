@@ -85,19 +85,19 @@ def test_poses_are_those_of_register_frame(hall: tuple[list[Scan], Array]) -> No
 
 def test_clouds_are_followed(hall: tuple[list[Scan], Array]) -> None:
     scans, truth = hall
-    found = follow(KissICPSystem(), scans)
+    estimate = follow(KissICPSystem(), scans)
     # it sticks while it gets to know the speed, for the rings on the ground travel with the sensor
-    late = inverse(inverse(truth[5]) @ truth[-1]) @ inverse(found[5]) @ found[-1]
+    late = inverse(inverse(truth[5]) @ truth[-1]) @ inverse(estimate[5]) @ estimate[-1]
     assert translation_norm(late) < 0.06  # of 1.2 m
-    assert translation_norm(inverse(truth[-1]) @ found[-1]) < 0.3  # of 2.2 m
+    assert translation_norm(inverse(truth[-1]) @ estimate[-1]) < 0.3  # of 2.2 m
 
 
 def test_planar_scans_are_followed_in_the_plane() -> None:
     data = Corridor(environment="cluttered", scans=41, path_length=4.0)
-    found = follow(KissICPSystem(max_range=4.0), list(data))
-    errors = translation_norm(inverse(inverse(data.ground_truth[0]) @ data.ground_truth) @ found)
+    estimate = follow(KissICPSystem(max_range=4.0), list(data))
+    errors = translation_norm(inverse(inverse(data.ground_truth[0]) @ data.ground_truth) @ estimate)
     assert errors.max() < 0.04
-    assert (found[:, 2] == [0, 0, 1, 0]).all() and (found[:, :, 2] == [0, 0, 1, 0]).all()
+    assert (estimate[:, 2] == [0, 0, 1, 0]).all() and (estimate[:, :, 2] == [0, 0, 1, 0]).all()
 
 
 def test_a_repeated_scan_stands_still_and_is_no_mere_prediction() -> None:

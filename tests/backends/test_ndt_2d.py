@@ -107,10 +107,10 @@ def test_a_cell_needs_its_points() -> None:
 
 def test_far_cells_are_as_good_as_near_ones() -> None:
     """Moments are taken about the cells' centres: nothing cancels a kilometre away."""
-    there = np.array([4096.0, -8192.0, 0.0])
+    offset = np.array([4096.0, -8192.0, 0.0])
     near = cells_of(CROSS, 1.0, 4, 1e-3).normals
-    far = cells_of(CROSS + there, 1.0, 4, 1e-3).normals
-    np.testing.assert_allclose(far[:, :2] - there[:2], near[:, :2], atol=1e-9)
+    far = cells_of(CROSS + offset, 1.0, 4, 1e-3).normals
+    np.testing.assert_allclose(far[:, :2] - offset[:2], near[:, :2], atol=1e-9)
     np.testing.assert_allclose(far[:, 2:], near[:, 2:], rtol=1e-8)
 
 
@@ -187,7 +187,7 @@ def corridor_scan(x: float, seed: int) -> Scan:
 
 def test_it_does_not_stick_in_a_corridor() -> None:
     """Small steps along smooth walls: nearest points stay where they were, cells do not mind."""
-    found: dict[str, list[float]] = {"ndt": [], "icp": []}
+    shifts: dict[str, list[float]] = {"ndt": [], "icp": []}
     methods: dict[str, Backend] = {"ndt": NDT2D(0.3), "icp": Open3DPointToPoint(0.3)}
     for pair in range(16):
         start = -1.0 + 0.13 * pair
@@ -195,9 +195,9 @@ def test_it_does_not_stick_in_a_corridor() -> None:
         for name, method in methods.items():
             source, target = (method.prepare(scan) for scan in scans)
             result = judge.register(method, source, target, np.eye(4))
-            found[name].append(float(result.T_target_source[0, 3]))
-    assert np.mean(found["icp"]) < 0.004
-    assert 0.006 < np.mean(found["ndt"]) < 0.018
+            shifts[name].append(float(result.T_target_source[0, 3]))
+    assert np.mean(shifts["icp"]) < 0.004
+    assert 0.006 < np.mean(shifts["ndt"]) < 0.018
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.01])

@@ -77,10 +77,10 @@ def library_information(method: Open3DICP, source: Any, target: Any, T: Array) -
     frame."""
     import open3d as o3d
 
-    found = o3d.pipelines.registration.get_information_matrix_from_point_clouds(
+    information = o3d.pipelines.registration.get_information_matrix_from_point_clouds(
         source.native, target.native, method.distances[-1], T
     )
-    return information_in_source_frame(np.asarray(found)[ROTATION_FIRST], T)
+    return information_in_source_frame(np.asarray(information)[ROTATION_FIRST], T)
 
 
 @pytest.mark.parametrize("settings", [{}, {"kernel": "tukey", "kernel_scale": 1.0}], ids=["", "k"])

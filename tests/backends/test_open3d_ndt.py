@@ -99,7 +99,7 @@ def test_the_correspondence_distance_is_the_evaluator_s_only() -> None:
 
 
 def test_neighbouring_cells_take_in_more_points() -> None:
-    """Points beyond the border of a cell have a partner; both ways the motion is found."""
+    """Points beyond the border of a cell have a partner; both ways give the motion."""
     world = WORLDS["2d"]
     known = world.motions["curve"]
     source, target = world.pair(known, 0.01)

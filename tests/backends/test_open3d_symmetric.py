@@ -34,9 +34,9 @@ def register(method: Open3DPointToPlane, source: Scan, target: Scan, guess: Arra
 def test_known_motions(world: World, motion: str, noise: float) -> None:
     known = world.motions[motion]
     source, target = world.pair(known, noise)
-    there = register(Open3DSymmetric(0.5), source, target, known.guess)
+    forth = register(Open3DSymmetric(0.5), source, target, known.guess)
     back = register(Open3DSymmetric(0.5), target, source, inverse(known.guess))
-    for T, truth in ((there, known.T_target_source), (back, inverse(known.T_target_source))):
+    for T, truth in ((forth, known.T_target_source), (back, inverse(known.T_target_source))):
         metres, degrees = off(T, truth)
         assert metres < 0.01 and degrees < 0.15
 

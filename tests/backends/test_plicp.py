@@ -127,8 +127,8 @@ def test_outliers_are_trimmed(make: Any) -> None:
     off = errors(make(0.5), [pair])[0][0]
     without = errors(make(0.5, outliers_refine_multiplier=0.0, **loose), [pair])[0][0]
     assert off < 0.01 < 0.02 < without, (off, without)
-    found = errors(make(0.5), [pair])[2][0].library_fitness
-    assert found is not None and 0.5 < found <= 1 - 0.7 * moved.mean()
+    fitness = errors(make(0.5), [pair])[2][0].library_fitness
+    assert fitness is not None and 0.5 < fitness <= 1 - 0.7 * moved.mean()
 
 
 @pytest.mark.parametrize("make", [plicp, p2p])

@@ -41,19 +41,19 @@ def matches_at(distance: list[float], first: list[int] | None = None) -> Matches
 def test_a_wall_in_any_order_is_a_chain() -> None:
     order = np.random.default_rng(0).permutation(20)
     wall = flat(np.stack([0.2 * order, 1.0 + 0.1 * order], axis=1))
-    found = neighbours(surface_of(wall, 0.0), wall)
+    sides = neighbours(surface_of(wall, 0.0), wall)
     place = {int(number): i for i, number in enumerate(order)}
     for number in range(1, 19):
-        assert found[place[number]] == {place[number - 1], place[number + 1]}
-    assert found[place[0]] == {place[1]}, "an end has one side"
+        assert sides[place[number]] == {place[number - 1], place[number + 1]}
+    assert sides[place[0]] == {place[1]}, "an end has one side"
 
 
 def test_a_corner_belongs_to_both_walls() -> None:
     leg = np.linspace(0.2, 2, 10)
     corner = np.concatenate([[[0, 0]], np.stack([leg, 0 * leg], 1), np.stack([0 * leg, leg], 1)])
-    found = neighbours(surface_of(flat(corner), 0.0), corner)
-    assert found[0] == {1, 11}
-    assert found[1] == {0, 2} and found[11] == {0, 12}
+    sides = neighbours(surface_of(flat(corner), 0.0), corner)
+    assert sides[0] == {1, 11}
+    assert sides[1] == {0, 2} and sides[11] == {0, 12}
 
 
 def test_segments_are_as_long_as_asked() -> None:
@@ -69,8 +69,8 @@ def test_segments_are_as_long_as_asked() -> None:
 def test_no_segment_crosses_a_gap() -> None:
     gap = np.concatenate([np.arange(5) * 0.1, 2.0 + np.arange(5) * 0.1])
     points = flat(np.stack([gap, np.zeros(10)], axis=1))
-    found = neighbours(surface_of(points, 0.0), points)
-    assert found[4] == {3} and found[5] == {6}
+    sides = neighbours(surface_of(points, 0.0), points)
+    assert sides[4] == {3} and sides[5] == {6}
 
 
 def test_points_at_one_place_have_no_segment_between_them() -> None:

@@ -56,18 +56,18 @@ def wall(start: tuple[float, float], end: tuple[float, float], count: int) -> Ar
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_no_motion_is_better_than_the_step_to_lines(seed: int) -> None:
-    """The least cost there is, or the least with a turn below 90 deg."""
+    """The least cost of all, or the least with a turn below 90 deg."""
     moved, target, matches = random_problem(seed)
     step = step_to_lines(moved, target, matches, len(moved))
-    found = line_cost(step, moved, target, matches)
+    cost = line_cost(step, moved, target, matches)
     ends = [
         minimize(line_cost, np.array([0.0, 0.0, turn]), args=(moved, target, matches), tol=1e-12)
         for turn in np.linspace(-3, 3, 7)
     ]
     near = [end.fun for end in ends if np.cos(end.x[2]) > 0.0]
-    assert found == pytest.approx(min(near or [end.fun for end in ends]), rel=1e-8)
+    assert cost == pytest.approx(min(near or [end.fun for end in ends]), rel=1e-8)
     for change in 1e-3 * np.vstack([np.eye(3), -np.eye(3)]):
-        assert line_cost(step + change, moved, target, matches) > found
+        assert line_cost(step + change, moved, target, matches) > cost
 
 
 @pytest.mark.parametrize("seed", SEEDS)

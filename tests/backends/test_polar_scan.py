@@ -85,12 +85,12 @@ def test_what_lies_behind_is_hidden() -> None:
         for d in (56.0, 30.0, 20.0)
     )
     assert box == pytest.approx(2.0 / np.cos(np.deg2rad(56)), rel=1e-3)  # not the wall at 8.9 m
-    assert np.isinf(shadow)  # the wall there was never seen
+    assert np.isinf(shadow)  # the wall behind the box was never seen
     assert wall == pytest.approx(5.0 / np.cos(np.deg2rad(20)), rel=1e-3)
 
 
 def test_surfaces_end_at_a_jump() -> None:
-    """Between the box's edge and the wall there is nothing to see."""
+    """Between the box's edge and the wall lies nothing to see."""
     degrees = np.arange(-40.0, 41.0)
     points = fan(np.where(degrees < 0, 2.0, 5.0), degrees)
     bins = bins_of(points, None)

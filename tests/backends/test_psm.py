@@ -94,8 +94,8 @@ def test_too_little_in_common_is_no_shift() -> None:
 def test_a_translation_moves_points_along_their_beams() -> None:
     """dr = cos(b) dx + sin(b) dy is undone exactly, whatever the weights."""
     dr = 0.05 * np.cos(BEARINGS) - 0.02 * np.sin(BEARINGS)
-    found = translation(ROOM_LIKE, ROOM_LIKE - dr, BINS, 0.49, 1.0)
-    np.testing.assert_allclose(found, (0.05, -0.02), atol=1e-12)
+    shift = translation(ROOM_LIKE, ROOM_LIKE - dr, BINS, 0.49, 1.0)
+    np.testing.assert_allclose(shift, (0.05, -0.02), atol=1e-12)
 
 
 def test_weights_are_c_over_c_plus_dr_squared() -> None:
@@ -146,17 +146,17 @@ def test_large_rotations_are_found_without_a_guess(
     random = np.random.default_rng(3)
     polar = PolarScanMatching(0.5, max_orientation_shift=shift)
     icp = Open3DPointToPoint(0.5)
-    found = found_by_icp = 0
+    by_psm = by_icp = 0
     for k, along in enumerate(np.linspace(0.2, 3.5, 12)):
         start = ENVIRONMENTS[place].poses(np.array([along]))[0]
         heading, sign = random.uniform(-np.pi, np.pi), random.choice((-1, 1))
         T = se2(0.2 * np.cos(heading), 0.2 * np.sin(heading), sign * np.deg2rad(degrees))
         source = place_scan(place, start @ T, 2 * k, angles)
         target = place_scan(place, start, 2 * k + 1, angles)
-        found += is_found(register(polar, source, target), T)
-        found_by_icp += is_found(register(icp, source, target), T)
-    assert found >= 11
-    assert found_by_icp <= for_icp
+        by_psm += is_found(register(polar, source, target), T)
+        by_icp += is_found(register(icp, source, target), T)
+    assert by_psm >= 11
+    assert by_icp <= for_icp
 
 
 def test_a_wider_search_finds_any_rotation() -> None:

@@ -41,14 +41,14 @@ def off(T: Array, truth: Array) -> tuple[float, float]:
 @pytest.mark.parametrize("motion", ["forward", "left", "turn", "curve", "from_far_guess"])
 @pytest.mark.parametrize("world", list(WORLDS.values()), ids=str)
 @pytest.mark.parametrize("name", METHODS)
-def test_known_motions_there_and_back(
+def test_known_motions_forth_and_back(
     name: Method, world: World, motion: str, noise: float
 ) -> None:
     known, method = world.motions[motion], SmallGICP(name, 0.5)
     source, target = world.pair(known, noise)
-    there = register(method, source, target, known.guess)
+    forth = register(method, source, target, known.guess)
     back = register(method, target, source, inverse(known.guess))
-    for result, truth in ((there, known.T_target_source), (back, inverse(known.T_target_source))):
+    for result, truth in ((forth, known.T_target_source), (back, inverse(known.T_target_source))):
         metres, degrees = off(result.T_target_source, truth)
         assert metres < (0.02 if name in ("ICP", "PLANE_ICP") else 0.005)
         assert degrees < (0.5 if name in ("ICP", "PLANE_ICP") else 0.15)
@@ -134,9 +134,9 @@ def test_upright_walls_do_not_let_it_float_away(data_dir: Path) -> None:
 
 def brute_force_information(source: Array, target: Array, T: Array, distance: float) -> Array:
     """Sum of J^T J over matched source points p, J = R [I, -skew(p)]: point-to-point."""
-    found, _ = cKDTree(target).query(transform(T, source), distance_upper_bound=distance)
+    distances, _ = cKDTree(target).query(transform(T, source), distance_upper_bound=distance)
     out = np.zeros((6, 6))
-    for x, y, z in source[np.isfinite(found)]:
+    for x, y, z in source[np.isfinite(distances)]:
         skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
         J = T[:3, :3] @ np.hstack([np.eye(3), -skew])
         out += J.T @ J
@@ -259,7 +259,7 @@ def test_the_distance_holds_for_every_method(name: Method) -> None:
 
 
 def test_a_floor_on_a_round_height_is_not_torn() -> None:
-    """1 m below the sensor, between the library's own voxels of 1 m: half a metre wrong there."""
+    """1 m below the sensor, where the library's own voxels of 1 m meet and are 0.5 m off."""
     world = WORLDS["3d"]
     source, target = world.pair(world.motions["still"])
     result = register(SmallGICP("VGICP", 1.0), source, target, np.eye(4))

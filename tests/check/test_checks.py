@@ -31,7 +31,7 @@ def about_x(degrees: float) -> Array:
 
 
 @pytest.mark.parametrize(
-    ("found", "why_not"),
+    ("registration", "why_not"),
     [
         (result(), None),
         (result(converged=None), None),  # the library does not say
@@ -48,8 +48,8 @@ def about_x(degrees: float) -> Array:
         (result(np.eye(4)), "10.77 m from the guess"),
     ],
 )
-def test_gated(found, why_not) -> None:
-    assert Gated(0.3, 0.5, 30.0).reject(found, GUESS) == why_not
+def test_gated(registration, why_not) -> None:
+    assert Gated(0.3, 0.5, 30.0).reject(registration, GUESS) == why_not
 
 
 def test_the_gates_are_settings() -> None:

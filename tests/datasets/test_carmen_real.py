@@ -73,9 +73,9 @@ def test_the_odometry_of_a_corrected_log_is_that_of_the_raw_log(data_dir: Path, 
     assert raw.odometry is not None
     # The same scan has the same readings; the corrected files only lost digits of poses and times.
     place = {scan.round(2).tobytes(): i for i, scan in enumerate(np.nan_to_num(raw.ranges))}
-    found = [place.get(scan.round(2).tobytes()) for scan in np.nan_to_num(corrected.ranges)]
-    assert None not in found
-    same = steps(raw.odometry[found])
+    places = [place.get(scan.round(2).tobytes()) for scan in np.nan_to_num(corrected.ranges)]
+    assert None not in places
+    same = steps(raw.odometry[places])
     difference = inverse(same) @ steps(corrected.odometry)
     assert np.median(translation_norm(difference)) < 1e-4
     assert np.median(rotation_angle(difference)) < 1e-4

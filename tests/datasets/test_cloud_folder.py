@@ -1,4 +1,4 @@
-"""Folders of clouds: every format reads the same, and every damage is told."""
+"""Folders of clouds: every format reads the same, and every damage is reported."""
 
 from __future__ import annotations
 

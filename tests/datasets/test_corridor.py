@@ -1,4 +1,4 @@
-"""The simulated corridor: ranges by hand, independent noise, and what it is there to show."""
+"""The simulated corridor: ranges by hand, independent noise, and what it is to show."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ def test_pure_guesses_are_those_of_the_pair_alone() -> None:
     assert [guess.needs_odometry for guess in guesses] == [False, True, False, True]
 
 
-class Empty(Dataset):
+class EmptyDrive(Dataset):
     def __init__(self, has_odometry: bool) -> None:
         self.has_odometry = has_odometry
 
@@ -106,11 +106,13 @@ class Empty(Dataset):
 
 @pytest.mark.parametrize("guess", [Odometry(), OdometryChained()])
 def test_a_data_set_without_odometry_is_refused(guess) -> None:
-    with pytest.raises(ConfigError, match=r"\(Empty\) does not have: use guess=constant_velocity"):
-        guess.check(Empty(has_odometry=False))
-    guess.check(Empty(has_odometry=True))
+    with pytest.raises(
+        ConfigError, match=r"\(EmptyDrive\) does not have: use guess=constant_velocity"
+    ):
+        guess.check(EmptyDrive(has_odometry=False))
+    guess.check(EmptyDrive(has_odometry=True))
 
 
 @pytest.mark.parametrize("guess", [Identity(), ConstantVelocity()])
 def test_the_others_take_any_data_set(guess) -> None:
-    guess.check(Empty(has_odometry=False))
+    guess.check(EmptyDrive(has_odometry=False))

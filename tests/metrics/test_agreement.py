@@ -71,7 +71,7 @@ def test_kitti_is_kiss_icp_s(folder: Path) -> None:
     """From the same files, once as they are (too short for segments) and once made longer."""
     from kiss_icp.metrics import absolute_trajectory_error, sequence_error
 
-    from rbtm_bench.metrics.kitti import Kitti
+    from rbtm_bench.metrics.kitti import KittiErrors
 
     truth, estimate = (
         Trajectory.read_tum(folder / name) for name in ("ground_truth.tum", "trajectory.tum")
@@ -85,6 +85,6 @@ def test_kitti_is_kiss_icp_s(folder: Path) -> None:
         trajectory.T_world_scan[:, :3, 3] *= 100.0
     percent, deg_per_m = sequence_error(truth.T_world_scan, estimate.T_world_scan)
     assert percent > 0 and deg_per_m > 0
-    longer = Kitti().evaluate(estimate, truth)
+    longer = KittiErrors().evaluate(estimate, truth)
     assert longer["kitti_translation_percent"] == pytest.approx(percent, rel=1e-6)
     assert longer["kitti_rotation_deg_per_m"] == pytest.approx(deg_per_m, rel=1e-6)

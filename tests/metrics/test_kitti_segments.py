@@ -1,4 +1,4 @@
-"""Kitti against values worked out by hand, KISS-ICP's own functions and the definition itself."""
+"""KittiErrors by hand, by KISS-ICP's own functions and by the definition itself."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rbtm_bench.core.geometry import inverse, rotation_angle, se2
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array
 from rbtm_bench.metrics.ape import Ape
-from rbtm_bench.metrics.kitti import Kitti
+from rbtm_bench.metrics.kitti import KittiErrors
 
 SEGMENTS = ("kitti_translation_percent", "kitti_rotation_deg_per_m")
 FITTED = ("ate_translation_m", "ate_rotation_deg")
@@ -46,24 +46,24 @@ def by_definition(truth: Array, estimate: Array) -> tuple[float, float]:
 def test_one_segment_by_hand():
     """The only segment starts at pose 0 and ends at the first pose beyond 100 m, the 102nd. There
     the estimate is 1.01 m too far, of 100 m; or has turned by 101 x 0.02 deg."""
-    values = Kitti().evaluate(drive(102, 1.01), drive(102, 1.0))
+    values = KittiErrors().evaluate(drive(102, 1.01), drive(102, 1.0))
     assert values["kitti_translation_percent"] == pytest.approx(1.01, rel=1e-6)
     assert values["kitti_rotation_deg_per_m"] == 0.0
-    values = Kitti().evaluate(drive(102, 1.0, 0.02), drive(102, 1.0))
+    values = KittiErrors().evaluate(drive(102, 1.0, 0.02), drive(102, 1.0))
     assert values["kitti_rotation_deg_per_m"] == pytest.approx(0.0202 * KISS_PI, rel=1e-5)
 
 
 @pytest.mark.parametrize("poses", [2, 50, 101])
 def test_a_path_of_100_m_or_less_has_no_segment(poses):
-    values = Kitti().evaluate(drive(poses, 1.01, 0.1), drive(poses, 1.0, 0.1))
+    values = KittiErrors().evaluate(drive(poses, 1.01, 0.1), drive(poses, 1.0, 0.1))
     assert [values[key] for key in SEGMENTS] == [None, None]
 
 
 def test_segments_are_those_of_the_true_path():
     """An estimate that is long enough does not make the path so."""
-    values = Kitti().evaluate(drive(80, 2.0), drive(80, 1.0))
+    values = KittiErrors().evaluate(drive(80, 2.0), drive(80, 1.0))
     assert [values[key] for key in SEGMENTS] == [None, None]
-    values = Kitti().evaluate(drive(120, 0.5), drive(120, 1.0))
+    values = KittiErrors().evaluate(drive(120, 0.5), drive(120, 1.0))
     assert values["kitti_translation_percent"] == pytest.approx(50.5, rel=1e-6)
 
 
@@ -73,7 +73,7 @@ def test_numbers_are_those_of_kiss_icp_and_of_the_definition(wander):
     truth[:, :3, 3] *= 2.0  # about 1.2 km
     estimate[:, :3, 3] = 2.02 * estimate[:, :3, 3] + 0.1 * other[:, :3, 3]
     stamps = np.arange(1500.0)
-    values = Kitti().evaluate(Trajectory(stamps, estimate), Trajectory(stamps, truth))
+    values = KittiErrors().evaluate(Trajectory(stamps, estimate), Trajectory(stamps, truth))
     kiss = sequence_error(truth, estimate)
     assert [values[key] for key in SEGMENTS] == pytest.approx(list(kiss), rel=1e-6)
     translation, rotation = by_definition(truth, estimate)
@@ -86,17 +86,17 @@ def test_numbers_are_those_of_kiss_icp_and_of_the_definition(wander):
 
 def test_scans_without_a_truth_are_left_out():
     truth, estimate = drive(300, 1.0, 0.3), drive(300, 1.01, 0.31)
-    whole = Kitti().evaluate(estimate, truth)
+    whole = KittiErrors().evaluate(estimate, truth)
     for trajectory in (truth, estimate):
         trajectory.T_world_scan[250:] = np.nan
-    part = Kitti().evaluate(estimate, truth)
+    part = KittiErrors().evaluate(estimate, truth)
     cut = [Trajectory(t.stamps[:250], t.T_world_scan[:250]) for t in (estimate, truth)]
-    assert part == Kitti().evaluate(*cut) != whole
+    assert part == KittiErrors().evaluate(*cut) != whole
 
 
 def test_fitted_translation_is_evo_s(wander):
     truth, estimate = wander(80, 3), wander(80, 4)
-    values = Kitti().evaluate(estimate, truth)
+    values = KittiErrors().evaluate(estimate, truth)
     fitted = Ape("umeyama").evaluate(estimate, truth)["ape_rmse_m"]
     assert values["ate_translation_m"] == pytest.approx(fitted, rel=1e-6)
 
@@ -106,11 +106,11 @@ def test_fitted_rotation_by_hand(planar):
     corners = [(1, 0), (0, 1), (-1, 0), (0, -1)]
     truth = planar([(x, y, 0) for x, y in corners])
     estimate = planar([(x + 5, y - 3, 10 * (i % 2)) for i, (x, y) in enumerate(corners)])
-    values = Kitti().evaluate(estimate, truth)
+    values = KittiErrors().evaluate(estimate, truth)
     assert values["ate_translation_m"] == pytest.approx(0.0, abs=1e-6)
     assert values["ate_rotation_deg"] == pytest.approx(np.sqrt(100 / 2), rel=1e-6)
 
 
 def test_a_straight_path_leaves_the_fit_open():
-    values = Kitti().evaluate(drive(102, 1.01), drive(102, 1.0))
+    values = KittiErrors().evaluate(drive(102, 1.01), drive(102, 1.0))
     assert [values[key] for key in FITTED] == [None, None]

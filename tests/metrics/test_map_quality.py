@@ -240,13 +240,13 @@ def test_drift_makes_a_worse_map(seed: int) -> None:
         environment="cluttered", scans=61, odometry_noise_rotation_deg=0.3, seed=seed
     )
     metric, exact = MapQuality(centres=2000), truth.T_world_scan
-    found = []
+    values = []
     for share in (0.0, 0.5, 1.0):
         estimate = path(between(exact, corridor.odometry, share))
-        found.append(metric.evaluate_scans(estimate, truth, corridor))
+        values.append(metric.evaluate_scans(estimate, truth, corridor))
     for key in ("map_entropy_nat", "map_variance_mm2"):
-        assert found[0][key] < found[1][key] < found[2][key]
-    assert found[0]["map_cells"] < found[2]["map_cells"]
+        assert values[0][key] < values[1][key] < values[2][key]
+    assert values[0]["map_cells"] < values[2]["map_cells"]
 
 
 def test_in_a_bare_corridor_no_motion_beats_the_truth() -> None:
@@ -272,7 +272,7 @@ def test_a_map_that_flew_apart_has_less_entropy_than_the_truth() -> None:
 # --- as part of a run
 
 
-class Plain(Metric):
+class PoseCount(Metric):
     """A metric as others write them: it knows nothing of scans."""
 
     columns: ClassVar[dict[str, str]] = {"poses": "count; poses; own"}
@@ -285,10 +285,10 @@ class Duck:
     """Not even derived from ours."""
 
     columns: ClassVar[dict[str, str]] = {"poses": "count; poses; own"}
-    evaluate = Plain.evaluate
+    evaluate = PoseCount.evaluate
 
 
-@pytest.mark.parametrize("metric", [Plain(), Duck()])
+@pytest.mark.parametrize("metric", [PoseCount(), Duck()])
 def test_metrics_without_scans_work_as_ever(metric: Any) -> None:
     data = Clouds([WALL, WALL])
     assert evaluated(metric, path(still(2)), None, data) == {"poses": 2}

@@ -28,12 +28,12 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def families() -> list[type[Metric]]:
     """Every metric class in rbtm_bench.metrics."""
-    found = []
+    classes = []
     for module in pkgutil.iter_modules(rbtm_bench.metrics.__path__, "rbtm_bench.metrics."):
         for item in vars(importlib.import_module(module.name)).values():
             if isinstance(item, type) and issubclass(item, Metric) and not inspect.isabstract(item):
-                found.append(item)
-    return found
+                classes.append(item)
+    return classes
 
 
 every_family = pytest.mark.parametrize("family", families(), ids=lambda family: family.__name__)

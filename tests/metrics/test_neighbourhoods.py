@@ -41,7 +41,7 @@ def test_scatter_agrees_with_all_pairs(dimensions, size):
 
 
 def test_a_map_that_flew_apart_stays_countable():
-    """As many cells along each axis as there are points, far beyond the 2^63 of a plain grid."""
+    """As many cells along each axis as points, far beyond the 2^63 of a plain grid."""
     points = np.outer(np.arange(1, 2001.0), [1e9, -1e9, 1e9])
     assert occupied_cells(points, 0.05) == 2000
     number, _ = scatter(points, np.arange(2000), 0.3)

@@ -111,8 +111,8 @@ def test_nearest_by_hand():
 @settings(deadline=None, max_examples=100)
 def test_nearest_agrees_with_brute_force(stamps, times, tolerance):
     s, t = np.array(stamps), np.array(times)
-    found = nearest(s, t, tolerance)
-    for time, index in zip(t, found, strict=True):
+    indices = nearest(s, t, tolerance)
+    for time, index in zip(t, indices, strict=True):
         distance = np.abs(s - time)
         if index < 0:
             assert distance.min() > tolerance
@@ -157,7 +157,7 @@ def test_neither_a_motion_nor_the_order_of_the_estimate_changes_anything(wander,
     ],
 )
 def test_wheel_odometry_on_real_logs(data_dir, log, count, long, mean, std):
-    """All of the relations are found, and odometry alone has its known error."""
+    """All of the relations count, and odometry alone has its known error."""
     from rbtm_bench.datasets.carmen import Carmen
 
     folder = data_dir / "freiburg"

@@ -43,13 +43,13 @@ def test_the_file_reads_back(tmp_path: Path) -> None:
     errors = RelationErrors(times, times + 60, np.array([True, False, True]), missing, missing)
     errors.write(tmp_path / "relations.parquet")
     assert [path.name for path in tmp_path.iterdir()] == ["relations.parquet"]
-    found = RelationErrors.read(tmp_path / "relations.parquet")
+    read = RelationErrors.read(tmp_path / "relations.parquet")
     for name in ("start", "end", "local"):
-        assert np.array_equal(getattr(found, name), getattr(errors, name))
+        assert np.array_equal(getattr(read, name), getattr(errors, name))
     for name in ("translation_m", "rotation_deg"):
-        assert np.array_equal(getattr(found, name), getattr(errors, name), equal_nan=True)
+        assert np.array_equal(getattr(read, name), getattr(errors, name), equal_nan=True)
     table = pq.read_table(tmp_path / "relations.parquet")
-    assert table["translation_m"].null_count == 1  # for other readers: not there, no NaN
+    assert table["translation_m"].null_count == 1  # for other readers: missing, not NaN
 
 
 def test_damaged_files(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from rbtm_bench.runs.workbench import Workbench
 from rbtm_bench.selection.rbtm import Rbtm
 from rbtm_bench.similarity.base import Similarity
 from rbtm_bench.similarity.overlap import Overlap
-from rbtm_bench.target.base import SingleScan
+from rbtm_bench.target.single import SingleScan
 
 TIMES = ("t_prepare_s", "t_describe_s", "t_guess_s", "t_select_s", "t_register_s", "t_check_s")
 

@@ -19,7 +19,7 @@ from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.selection.oldest import Oldest
 from rbtm_bench.selection.previous import Previous
 from rbtm_bench.selection.rbtm import Rbtm
-from rbtm_bench.target.base import LocalMap
+from rbtm_bench.target.local_map import LocalMap
 
 
 def test_sequential_registration() -> None:

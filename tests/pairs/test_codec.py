@@ -83,7 +83,7 @@ def test_values_come_back_bit_for_bit(one_store: Any, value: Any) -> None:
 
 
 def test_every_field_of_a_result_is_kept() -> None:
-    """A new field must be written too: then raise ``FORMAT`` and add it here."""
+    """A new field must be written too: then raise ``FORMAT`` and add it to this list."""
     names = [field.name for field in dataclasses.fields(RegistrationResult)]
     names.remove("reused")  # says where a result came from; the caller's business
     assert names == [

@@ -76,9 +76,9 @@ def test_a_killed_process_loses_at_most_its_last_batch(tmp_path: Path) -> None:
                 for start, (put, committed) in zip(starts, writers, strict=True):
                     assert known(store, range(start, committed)) == committed - start
                     # the last put may have been written without a word of it
-                    found = known(store, range(start, put + BATCH + 1))
-                    assert found >= put - start - BATCH
-                    total += found
+                    stored = known(store, range(start, put + BATCH + 1))
+                    assert stored >= put - start - BATCH
+                    total += stored
                 new = range(10**8 + attempt, 10**8 + attempt + 1)
                 fill(store, new)
                 store.flush()
@@ -110,12 +110,12 @@ def test_a_fork_is_noticed(tmp_path: Path, mode: Any) -> None:
     closed, go_on = os.pipe()
 
     def child() -> bool:
-        here = known(store, range(1000)) == 1000
+        stored = known(store, range(1000)) == 1000
         pending = known(store, range(3000, 3010))
         fill(store, range(4000, 4010))
         os.read(closed, 1)
         store.close()
-        return here and pending == 0
+        return stored and pending == 0
 
     done = in_a_child(child)
     time.sleep(0.2)

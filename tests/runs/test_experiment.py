@@ -20,7 +20,7 @@ from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.datasets.corridor import Corridor
 from rbtm_bench.metrics.ape import Ape
 from rbtm_bench.metrics.final_pose import FinalPose
-from rbtm_bench.metrics.kitti import Kitti
+from rbtm_bench.metrics.kitti import KittiErrors
 from rbtm_bench.metrics.relations import RelationError
 from rbtm_bench.metrics.rpe import Rpe
 from rbtm_bench.metrics.summary import COLUMNS
@@ -177,7 +177,7 @@ def test_trajectory_and_truth(done: Path) -> None:
 
 def test_metrics_have_every_key_and_nothing_made_up(done: Path) -> None:
     metrics = json.loads((done / "metrics.json").read_text())
-    families = (FinalPose, Ape, Rpe, Kitti, RelationError)
+    families = (FinalPose, Ape, Rpe, KittiErrors, RelationError)
     assert set(metrics) == set(COLUMNS).union(*(family.columns for family in families))
     assert all(metrics[key] is None for key in RelationError.columns)  # no relations: not 0
     steps = steps_of(done)

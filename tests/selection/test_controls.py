@@ -50,7 +50,7 @@ def test_fixed_gap_is_clamped_at_the_start(gap, expected) -> None:
 
 
 def test_fixed_gap_takes_the_nearest_where_a_scan_is_missing() -> None:
-    """Scan 5 wants 2, which is not there: 1 and 3 are as near, the older one is taken."""
+    """Scan 5 wants 2, which is left out: 1 and 3 are as near, the older one is taken."""
     assert chosen(FixedGap(3), drive(7), left_out={2}) == [0, 0, 0, 1, 1, 3]
 
 
@@ -134,7 +134,7 @@ def test_gaps_of_another_run(tmp_path: Path) -> None:
 
 
 def missing(path: Path) -> None:
-    """Leave nothing there."""
+    """Write no file."""
 
 
 def empty(path: Path) -> None:
@@ -165,7 +165,7 @@ def no_registration(path: Path) -> None:
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (missing, "no steps.parquet there: expected a run folder"),
+        (missing, "no steps.parquet: expected a run folder"),
         (empty, "not readable as a run's steps"),
         (damaged, "not readable as a run's steps"),
         (nonsense, "not readable as a run's steps"),

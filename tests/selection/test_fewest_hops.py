@@ -77,7 +77,7 @@ def test_hops_of_the_loop() -> None:
     """A node's hops are its model's and one more; a predicted scan hangs on the one before it."""
     seen: dict[int, int] = {}
 
-    class Spy(FewestHops):
+    class Recording(FewestHops):
         def choose(self, scan, window, scores):
             seen.update({node.scan: node.hops for node in window.nodes})
             return super().choose(scan, window, scores)
@@ -85,5 +85,5 @@ def test_hops_of_the_loop() -> None:
     backend = Perfect(lost=[(2, 3), (1, 3), (0, 3)])
     table = {(0, 1): 0.9, (1, 2): 0.9, (2, 3): 0.9, (0, 4): 0.9, (3, 5): 0.9}
     scans = drive(7)
-    list(odometry(scans, method(backend, Spy(9, threshold=0.5), Script(table))))
+    list(odometry(scans, method(backend, Recording(9, threshold=0.5), Script(table))))
     assert seen == {0: 0, 1: 1, 2: 2, 3: 3, 4: 1, 5: 4}

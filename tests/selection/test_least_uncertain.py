@@ -34,19 +34,19 @@ def test_order(std, scores, expected) -> None:
         covariance = np.diag([s**2, 0, 0, 9, 9, 9])  # a turn is no position
         node = Node(scan, 0.0, se2(0, 0, 0), descriptor=np.zeros(1), covariance=covariance)
         window.push(node)
-    found = selector.choose(3, window, np.array(scores)).candidates
-    assert [c.model for c in found] == expected
-    assert found[0].reason == f"{std[expected[0]]:g} m unsure, S > 0.5"
+    candidates = selector.choose(3, window, np.array(scores)).candidates
+    assert [c.model for c in candidates] == expected
+    assert candidates[0].reason == f"{std[expected[0]]:g} m unsure, S > 0.5"
 
 
 class Informed(Perfect):
     """Perfect, with information: the edge (0, 1) is bad, all others good."""
 
     def align(self, source, target, T_target_source):
-        found = super().align(source, target, T_target_source)
+        result = super().align(source, target, T_target_source)
         is_bad = (int(target.native), int(source.native)) == (0, 1)
         information = np.eye(6) * (25.0 if is_bad else 1e4)
-        return replace(found, information=information)
+        return replace(result, information=information)
 
 
 def test_a_chain_over_a_bad_edge_is_avoided() -> None:

@@ -107,9 +107,9 @@ class Skewed(Perfect):
         self.good = good
 
     def align(self, source, target, T_target_source):
-        found = super().align(source, target, T_target_source)
+        result = super().align(source, target, T_target_source)
         off = se2(0.0 if target.native == self.good else 0.05, 0, 0)
-        return replace(found, T_target_source=found.T_target_source @ off)
+        return replace(result, T_target_source=result.T_target_source @ off)
 
 
 def driven(count: int) -> list[Scan]:
@@ -118,17 +118,17 @@ def driven(count: int) -> list[Scan]:
 
 def test_every_candidate_is_registered_and_the_best_taken() -> None:
     backend = Skewed(1)
-    found = list(odometry(driven(4), method(backend, Oracle(9))))
+    steps = list(odometry(driven(4), method(backend, Oracle(9))))
     assert backend.tried == [(0, 1), (0, 2), (1, 2), (0, 3), (1, 3), (2, 3)]
-    assert rows(found)[2:] == [("registered", 1), ("registered", 1)]
-    row = found[3].record
+    assert rows(steps)[2:] == [("registered", 1), ("registered", 1)]
+    row = steps[3].record
     assert (row.registrations, row.candidates, row.rejected) == (3, 3, 0)
     assert row.reason == "truth seen: registration 0.0000 m off, best of 3"
 
 
 def test_only_what_the_check_accepts() -> None:
-    found = list(odometry(driven(4), method(Skewed(1, lost=[(1, 3)]), Oracle(9))))
-    row = found[3].record
+    steps = list(odometry(driven(4), method(Skewed(1, lost=[(1, 3)]), Oracle(9))))
+    row = steps[3].record
     assert row.model in (0, 2)  # both are off by 50 mm
     assert (row.registrations, row.rejected) == (3, 1)
     assert row.reason.endswith("best of 2")
@@ -165,8 +165,8 @@ def test_nothing_else_sees_the_truth(selector) -> None:
             assert not any("truth" in name for node in (model, *recent) for name in vars(node))
             return super().predict(model, scan, recent)
 
-    found = list(odometry(driven(4), method(Spy(), selector, Peek(otherwise=0.9), Hint())))
-    assert len(found) == 4 and met.count("backend") == met.count("guess") == 4
+    steps = list(odometry(driven(4), method(Spy(), selector, Peek(otherwise=0.9), Hint())))
+    assert len(steps) == 4 and met.count("backend") == met.count("guess") == 4
 
 
 class Blind(Similarity):
@@ -199,15 +199,15 @@ def test_nor_does_a_similarity_outside_of_the_loop() -> None:
 
 
 def test_nor_does_a_backend_in_a_study_of_pairs() -> None:
-    class Spy(Perfect):
+    class Blindfolded(Perfect):
         def prepare(self, scan):
             assert scan.ground_truth is None
             return super().prepare(scan)
 
     target, source = driven(2)
     pair = Pair(target, source, inverse(target.ground_truth) @ source.ground_truth, None)
-    (found,) = register_all(Spy(), [pair], [np.eye(4)])
-    assert found.metres == pytest.approx(0.0, abs=1e-12)
+    (outcome,) = register_all(Blindfolded(), [pair], [np.eye(4)])
+    assert outcome.metres == pytest.approx(0.0, abs=1e-12)
 
 
 # in a run
@@ -217,9 +217,9 @@ WORDS = ["dataset.scans=40", "selector=oracle", "guess=odometry", "selector.wind
 
 def ape(words: list[str]) -> float:
     parts = instantiate(compose_settings(words))
-    found = list(odometry(parts.dataset, parts.method))
-    stamps = np.array([step.record.stamp for step in found])
-    estimate = Trajectory(stamps, np.stack([step.T_world_scan for step in found]))
+    steps = list(odometry(parts.dataset, parts.method))
+    stamps = np.array([step.record.stamp for step in steps])
+    estimate = Trajectory(stamps, np.stack([step.T_world_scan for step in steps]))
     truth = Trajectory(stamps, np.stack([s.ground_truth for s in parts.dataset]))
     value = Ape().evaluate(estimate, truth, None)["ape_rmse_m"]
     assert value is not None

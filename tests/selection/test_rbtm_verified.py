@@ -65,7 +65,7 @@ def test_the_order_is_rbtms() -> None:
 
 
 def test_the_fallback_is_checked_as_well() -> None:
-    """Nothing is similar to scan 3, and the newest is not found: its pose is the predicted one."""
+    """Nothing is similar to scan 3, and the newest is lost: its pose is the predicted one."""
     table = {(0, 1): 0.9, (0, 2): 0.9}
     backend = Perfect(lost=[(2, 3)])
     checked = method(backend, RbtmVerified(9, threshold=0.5), Script(table, NAN))

@@ -32,8 +32,8 @@ def score(similarity: CurvatureCircular, model, scan) -> float:
 @pytest.mark.parametrize("turn", TURNS)
 def test_a_pure_rotation_is_found(turned_by, turn, phase, sense) -> None:
     similarity = CurvatureCircular(max_lag_deg=30.0, lag_phase=phase)
-    found = score(similarity, turned_by(0, sense), turned_by(turn, sense))
-    assert found == pytest.approx(1.0, abs=1e-12)
+    best = score(similarity, turned_by(0, sense), turned_by(turn, sense))
+    assert best == pytest.approx(1.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("phase", ["free", "consistent"])
@@ -54,11 +54,11 @@ def test_the_order_of_the_two_scans_does_not_matter(turned_by, phase, center) ->
 
 @pytest.mark.parametrize("phase", ["free", "consistent"])
 def test_more_lags_never_lower_the_score(turned_by, phase) -> None:
-    found = [
+    scores = [
         score(CurvatureCircular(max_lag_deg=most, lag_phase=phase), turned_by(0), turned_by(18))
         for most in (0.0, 5.0, 10.0, 20.0, 40.0)
     ]
-    assert found == sorted(found)
+    assert scores == sorted(scores)
 
 
 def test_lags_use_up_shared_beams(turned_by) -> None:

@@ -61,19 +61,19 @@ def test_of_a_cloud_a_height_band_counts() -> None:
     assert len(kept(Overlap(), cloud(points))) == 5
     assert len(kept(Overlap(min_height_m=0.0), cloud(points))) == 3
     flat = cloud(np.zeros((4, 3)), planar=True)
-    assert len(kept(Overlap(min_height_m=1.0), flat)) == 4, "in the plane there is no height"
+    assert len(kept(Overlap(min_height_m=1.0), flat)) == 4, "the plane has no height"
 
 
 def test_a_cloud_is_averaged_in_voxels() -> None:
     points = np.array([[0.1, 0.1, 0.1], [0.3, 0.1, 0.1], [5.0, 0.2, 0.1]])
-    found = kept(Overlap(voxel_size=1.0), cloud(points))
-    np.testing.assert_allclose(found, [[0.2, 0.1, 0.1], [5.0, 0.2, 0.1]], atol=1e-6)
+    means = kept(Overlap(voxel_size=1.0), cloud(points))
+    np.testing.assert_allclose(means, [[0.2, 0.1, 0.1], [5.0, 0.2, 0.1]], atol=1e-6)
 
 
 def test_of_many_points_evenly_many_count() -> None:
     points = np.column_stack([np.arange(10.0), np.zeros((10, 2))])
-    found = kept(Overlap(points=4), cloud(points))
-    np.testing.assert_array_equal(found[:, 0], [0, 2, 5, 7])
+    sample = kept(Overlap(points=4), cloud(points))
+    np.testing.assert_array_equal(sample[:, 0], [0, 2, 5, 7])
     assert len(kept(Overlap(points=10), cloud(points))) == 10
 
 
@@ -91,12 +91,12 @@ def test_nearest_is_the_nearest(seed) -> None:
         assert (points[:place, axis] < query[axis]).all()
         assert (points[place:, axis] >= query[axis]).all()
         squares = ((points.astype(float) - query) ** 2).sum(axis=1)
-        found, square = nearest(points, axis, *query, 0.4, place)
+        number, square = nearest(points, axis, *query, 0.4, place)
         if squares.min() < 0.4**2:
-            assert found == np.argmin(squares)
+            assert number == np.argmin(squares)
             assert square == pytest.approx(squares.min(), rel=1e-12)
         else:
-            assert (found, square) == (-1, 0.4**2)
+            assert (number, square) == (-1, 0.4**2)
 
 
 def test_motions_in_space_are_inverted() -> None:

@@ -28,7 +28,7 @@ class Motion(Similarity):
         return np.array([float(scan.index)])
 
     def scores(self, window: Descriptor, descriptor: Descriptor) -> Array:
-        raise AssertionError("scores_under is there")
+        raise AssertionError("scores_under was to be called")
 
     def scores_under(self, window: Descriptor, descriptor: Descriptor, motions: Array) -> Array:
         return motions[:, 0, 3] + 100.0 * (window[:, 0] > descriptor[0])
@@ -58,32 +58,32 @@ def test_blocks_change_nothing(
 
 
 def test_the_row_is_the_new_scan_and_its_guess_odometry(corridor: Corridor) -> None:
-    found = compute(corridor, Motion(), None, 100.0)
+    matrix = compute(corridor, Motion(), None, 100.0)
     j, k = 12, 5
     T = inverse(corridor[k].odometry) @ corridor[j].odometry
-    assert found.scores[j, k] == pytest.approx(T[0, 3])
-    assert found.scores[k, j] == pytest.approx(inverse(T)[0, 3] + 100.0)
+    assert matrix.scores[j, k] == pytest.approx(T[0, 3])
+    assert matrix.scores[k, j] == pytest.approx(inverse(T)[0, 3] + 100.0)
     band = compute(corridor, Motion(), 10, 100.0)
-    assert band.scores[j, j - k - 1] == found.scores[j, k]
+    assert band.scores[j, j - k - 1] == matrix.scores[j, k]
     assert np.isnan(band.scores[2, 2:]).all()
-    assert found.guess.startswith("odometry")
+    assert matrix.guess.startswith("odometry")
 
 
 def test_what_goes_with_the_scores(corridor: Corridor) -> None:
     seen: list[tuple[int, int, str]] = []
-    found = compute(corridor, Motion(), 4, 100.0, lambda *said: seen.append(said))
+    band = compute(corridor, Motion(), 4, 100.0, lambda *report: seen.append(report))
     assert seen[-1] == (COUNT, COUNT, "scores") and seen[0] == (1, COUNT, "describing")
-    assert found.metres is not None and found.metres[0] == 0.0
-    assert found.metres[-1] == pytest.approx(1.8, rel=0.05)
-    np.testing.assert_array_equal(found.stamps, [scan.stamp for scan in corridor])
-    assert (found.widest, len(found.at_gap(3)), found.undefined_share) == (4, COUNT - 3, 0.0)
+    assert band.metres is not None and band.metres[0] == 0.0
+    assert band.metres[-1] == pytest.approx(1.8, rel=0.05)
+    np.testing.assert_array_equal(band.stamps, [scan.stamp for scan in corridor])
+    assert (band.widest, len(band.at_gap(3)), band.undefined_share) == (4, COUNT - 3, 0.0)
 
 
-def test_undefined_scores_are_counted_where_there_is_a_pair() -> None:
+def test_undefined_scores_are_counted_among_existing_pairs() -> None:
     scores = np.array([[np.nan, np.nan], [0.5, np.nan], [np.nan, 0.1]], np.float32)
-    found = Scores(scores, np.arange(3.0), None, 3)
-    assert found.undefined_share == pytest.approx(1 / 3)  # of 1-0, 2-1 and 2-0
-    assert found.at_gap(2).tolist() == pytest.approx([0.1])
+    band = Scores(scores, np.arange(3.0), None, 3)
+    assert band.undefined_share == pytest.approx(1 / 3)  # of 1-0, 2-1 and 2-0
+    assert band.at_gap(2).tolist() == pytest.approx([0.1])
     matrix = Scores(np.array([[1.0, np.nan], [0.2, 1.0]], np.float32), np.arange(2.0), None, None)
     assert matrix.undefined_share == 0.25 and matrix.at_gap(1).tolist() == pytest.approx([0.2])
 
@@ -101,9 +101,9 @@ def test_what_does_not_fit_is_refused_with_what_does() -> None:
         refuse_too_large(20000, None, 1000.0)
     with pytest.raises(ConfigError, match=r"a smaller selector[.]window, or more"):
         refuse_too_large(10**6, 1000, 1000.0)
-    with pytest.raises(ConfigError) as told:
+    with pytest.raises(ConfigError) as refusal:
         refuse_too_large(20000, None, 1000.0)
-    wanted = float(str(told.value).partition("--memory ")[2].split()[0])
+    wanted = float(str(refusal.value).partition("--memory ")[2].split()[0])
     refuse_too_large(20000, None, wanted + 1)  # what it says is enough
 
 
@@ -117,9 +117,9 @@ def test_a_block_fits_whatever_a_similarity_makes_of_it(width: int) -> None:
 def test_written_and_read(corridor: Corridor, tmp_path: Path) -> None:
     from rbtm_bench.runs.settings import compose_settings
 
-    found = compute(corridor, CurvatureCircular(), None, 100.0)
-    found.write(tmp_path / "s.npz", compose_settings([]).config)
+    matrix = compute(corridor, CurvatureCircular(), None, 100.0)
+    matrix.write(tmp_path / "s.npz", compose_settings([]).config)
     with np.load(tmp_path / "s.npz") as read:
         assert set(read) == {"scores", "scans", "stamps", "metres", "settings"}
-        np.testing.assert_array_equal(read["scores"], found.scores)
+        np.testing.assert_array_equal(read["scores"], matrix.scores)
         assert '"_target_"' in str(read["settings"])

@@ -114,12 +114,12 @@ def test_a_turned_cloud_is_found_by_lags(room, turn) -> None:
         r = room((angles + np.radians(turn_deg) + np.pi) % (2 * np.pi) - np.pi)
         return Scan(0, 0.0, np.column_stack([r * np.cos(angles), r * np.sin(angles), 0 * r]))
 
-    found = {}
+    scores = {}
     for most in (0.0, 45.0):
         similarity = VirtualScan(half_span_deg=3.0, max_lag_deg=most, lag_phase="consistent")
         one, other = similarity.describe(cloud(0)), similarity.describe(cloud(turn))
-        found[most] = float(similarity.scores(one[None], other)[0])
-    assert found[45.0] > 0.98 and found[45.0] > found[0.0] + 0.05
+        scores[most] = float(similarity.scores(one[None], other)[0])
+    assert scores[45.0] > 0.98 and scores[45.0] > scores[0.0] + 0.05
 
 
 def test_planar_scans_have_no_height_band() -> None:

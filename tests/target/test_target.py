@@ -11,7 +11,8 @@ from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.core.geometry import inverse, se2, transform
 from rbtm_bench.core.types import Array, Node, Scan
 from rbtm_bench.selection.window import Window
-from rbtm_bench.target.base import LocalMap, SingleScan
+from rbtm_bench.target.local_map import LocalMap
+from rbtm_bench.target.single import SingleScan
 
 WORLD = np.random.default_rng(0).uniform(-5.0, 5.0, (30, 3)) * [1, 1, 0]
 

@@ -1,0 +1,33 @@
+"""A small map around the model scan."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from annotated_types import Ge
+
+from rbtm_bench.backends.base import Backend, Prepared
+from rbtm_bench.core.geometry import inverse
+from rbtm_bench.core.types import Node
+from rbtm_bench.selection.window import Window
+from rbtm_bench.target.base import Target
+
+
+class LocalMap(Target):
+    """The model scan and up to ``neighbours`` members of the window on either side of it, placed
+    by their estimated poses and merged into one cloud. The last map built is kept."""
+
+    def __init__(self, neighbours: Annotated[int, Ge(1)] = 2) -> None:
+        self.neighbours = neighbours
+        self._last: tuple[list[Node], Prepared] | None = None
+
+    def build(self, model: int, window: Window, backend: Backend) -> Prepared:
+        at = window.position(model)
+        members = window.nodes[max(0, at - self.neighbours) : at + self.neighbours + 1]
+        # nodes compare by identity: scan numbers alone would mix up two runs of one object
+        key = [window.nodes[at], *members]
+        if self._last is None or self._last[0] != key:
+            T_model_world = inverse(window.nodes[at].T_world_scan)
+            parts = [(node.prepared, T_model_world @ node.T_world_scan) for node in members]
+            self._last = (key, backend.merge(parts))
+        return self._last[1]
