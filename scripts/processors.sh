@@ -29,7 +29,7 @@ log=$(mktemp)
 trap 'rm -f -- "$log"' EXIT
 for processor in ${PROCESSORS:-Haswell SkylakeX Zen Sandybridge Prescott}; do
     code=0
-    OPENBLAS_CORETYPE=$processor "$python" -m pytest -n 2 -m 'not slow' -q --tb=short \
+    OPENBLAS_CORETYPE=$processor "$python" -m pytest -n 2 --dist worksteal -m 'not slow' -q --tb=short \
         -rfE -p no:cacheprovider "${tests[@]}" "$@" >"$log" 2>&1 || code=$?
     printf '%-12s %s\n' "$processor" "$(tail -n 1 -- "$log")"
     if [ "$code" -ne 0 ]; then
