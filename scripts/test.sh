@@ -19,4 +19,5 @@ printf 'test: RBTM_BENCH_DATA=%s\n' "${RBTM_BENCH_DATA:-(unset: no tests on real
 "$python" -m ruff check .
 "$python" -m ruff format --check .
 "$python" -m mypy rbtm_bench
-"$python" -m pytest -n 2 "$@"
+# worksteal: each worker begins with one half in order, so that few fixtures are made twice
+"$python" -m pytest -n 2 --dist worksteal "$@"

@@ -20,7 +20,7 @@ from annotated_types import Ge, Gt
 
 from rbtm_bench.backends.neighbours_2d import Sorted2D, sorted_2d
 from rbtm_bench.core.errors import BackendError
-from rbtm_bench.core.geometry import is_rigid, to_plane, transform, voxel_downsample
+from rbtm_bench.core.geometry import is_rigid, symmetric, to_plane, transform, voxel_downsample
 from rbtm_bench.core.types import Array, Scan
 
 MIN_POINTS = 6
@@ -209,7 +209,7 @@ def _checked_information(given: Array | None, planar: bool) -> Array | None:
     information = np.array(given, dtype=np.float64)
     if information.shape != (6, 6):
         raise BackendError(f"information {information.shape}: expected (6, 6)")
-    information = 0.5 * (information + information.T)
+    information = symmetric(information)
     if planar:
         information[OUT_OF_PLANE], information[:, OUT_OF_PLANE] = 0.0, 0.0
     return information

@@ -12,7 +12,7 @@ from annotated_types import Ge, Gt, Le
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.backends.ndt_2d_cells import Cells, cells_of, half_cell, place
 from rbtm_bench.core.errors import BackendError, ConfigError
-from rbtm_bench.core.geometry import se2, yaw
+from rbtm_bench.core.geometry import se2, symmetric, yaw
 from rbtm_bench.core.kernels import kernel
 from rbtm_bench.core.types import Array
 
@@ -119,7 +119,7 @@ def information(terms: Array, theta: float) -> Array | None:
     H[np.tril_indices(3)] = terms[4:]
     H[np.triu_indices(3)] = H.T[np.triu_indices(3)]
     A = se2(0.0, 0.0, theta)[:3, :3]  # turns x and y, keeps the rotation
-    H = A.T @ H @ A
+    H = symmetric(A.T @ H @ A)
     if not np.linalg.eigvalsh(H)[0] > 0.0:
         return None
     out = np.zeros((6, 6))

@@ -13,7 +13,7 @@ from rbtm_bench.backends.plicp_covariance import motion_information
 from rbtm_bench.backends.plicp_match import PlicpSettings, Surface, match, shortened, surface_of
 from rbtm_bench.backends.plicp_step import Matches, step_to_lines, step_to_points
 from rbtm_bench.core.errors import BackendError
-from rbtm_bench.core.geometry import se2
+from rbtm_bench.core.geometry import se2, symmetric
 from rbtm_bench.core.kernels import kernel
 from rbtm_bench.core.types import Array
 
@@ -127,7 +127,7 @@ class PointToLineICP(Backend):
         )
         R = se2(0, 0, moving.turn)[:3, :3]
         information = np.zeros((6, 6))
-        information[np.ix_(PLANAR, PLANAR)] = R.T @ of_turned @ R
+        information[np.ix_(PLANAR, PLANAR)] = symmetric(R.T @ of_turned @ R)
         return Alignment(
             T,
             converged=ending != UNFINISHED,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from rbtm_bench.backends.plicp_step import Matches
+from rbtm_bench.core.geometry import symmetric
 from rbtm_bench.core.kernels import kernel
 from rbtm_bench.core.types import Array
 
@@ -43,10 +44,11 @@ def motion_information(
     if not U.size:
         return np.zeros((3, 3))
     curvature = np.linalg.inv(U.T @ (H * unit) @ U)
-    spread, W = np.linalg.eigh(sigma**2 * curvature @ (U.T @ (G * unit) @ U) @ curvature)
+    covariance = sigma**2 * curvature @ (U.T @ (G * unit) @ U) @ curvature
+    spread, W = np.linalg.eigh(symmetric(covariance))
     spread = np.maximum(spread, CERTAIN * spread[-1])
     root = (U @ W) / np.sqrt(spread) * scale[:, None]
-    return root @ root.T
+    return symmetric(root @ root.T)
 
 
 @kernel
@@ -125,5 +127,6 @@ def add(v: Array, factor: float, w: Array) -> None:
 def add_outer(M: Array, factor: float, v: Array) -> None:
     """M += factor v v^T for (3, 3) and (3,)."""
     for i in range(3):
-        for j in range(3):
+        for j in range(i + 1):
             M[i, j] += factor * v[i] * v[j]
+            M[j, i] = M[i, j]

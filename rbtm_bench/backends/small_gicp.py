@@ -11,7 +11,7 @@ from annotated_types import Ge, Gt
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.backends.planar import lifted
 from rbtm_bench.core.errors import ConfigError
-from rbtm_bench.core.geometry import se3, to_plane
+from rbtm_bench.core.geometry import se3, symmetric, to_plane
 from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
@@ -135,7 +135,7 @@ class SmallGICP(Backend):
             if result.converged or steps < limit or iterations >= self.max_iterations:
                 break
         T[:3, 3] -= self.half_cell
-        information = result.H[TRANSLATION_FIRST]
+        information = symmetric(result.H[TRANSLATION_FIRST])
         return Alignment(
             T,
             converged=self._converged(result, steps == limit),

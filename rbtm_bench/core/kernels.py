@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 
-USE = b"from rbtm_bench.core.kernels import kernel"
+USE = b"from rbtm_bench.core.kernels import "
 """How a module that has kernels says so."""
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -25,14 +26,32 @@ def kernel(function: F) -> F:
     NUMBA_CACHE_DIR, or XDG_CACHE_HOME or ~/.cache; where nothing can be written there, numba finds
     a place.
     """
+    with _our_cache():
+        compiled: Any = numba.njit(cache=True)(function)
+    return cast(F, compiled)
+
+
+def broadcasting(layout: str, signature: str) -> Callable[[Callable[..., None]], Any]:
+    """``numba.guvectorize`` with the same cache: a function that fills its last argument becomes
+    one that returns it, for arrays whose leading axes broadcast."""
+
+    def compiled(function: Callable[..., None]) -> Any:
+        make: Any = numba.guvectorize
+        with _our_cache():
+            return make([signature], layout, cache=True)(function)
+
+    return compiled
+
+
+@contextmanager
+def _our_cache() -> Iterator[None]:
     settings: Any = numba.config
     before = settings.CACHE_DIR
     settings.CACHE_DIR = cache_folder() or before
     try:
-        compiled: Any = numba.njit(cache=True)(function)
+        yield
     finally:
         settings.CACHE_DIR = before
-    return cast(F, compiled)
 
 
 @cache

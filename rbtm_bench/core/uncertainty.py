@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from rbtm_bench.core.geometry import adjoint, inverse
+from rbtm_bench.core.geometry import adjoint, inverse, symmetric
 from rbtm_bench.core.types import Array, RegistrationResult
 
 UNSEEN_STD = 1.0
@@ -51,10 +51,11 @@ def edge_covariance(
         information = held.matrix * (result.inliers / std**2)
     if not np.isfinite(information).all():  # nothing that could be believed
         information = np.zeros((count, count))
-    values, vectors = np.linalg.eigh(0.5 * (information + information.T))
+    values, vectors = np.linalg.eigh(symmetric(information))
     variance = 1.0 / np.maximum(values, UNSEEN_STD**-2)
     covariance = np.zeros((6, 6))
-    covariance[np.ix_(axes, axes)] = (vectors * variance) @ vectors.T / np.outer(scale, scale)
+    within = symmetric((vectors * variance) @ vectors.T)
+    covariance[np.ix_(axes, axes)] = within / np.outer(scale, scale)
     return covariance
 
 
@@ -65,7 +66,7 @@ def chained(model: Array, T_model_scan: Array, edge: Array) -> Array:
     about the model is moved into the scan's frame, where a turn becomes a shift as well.
     """
     A = adjoint(inverse(T_model_scan))
-    return A @ model @ A.T + edge
+    return symmetric(A @ model @ A.T) + edge
 
 
 def position_std(covariance: Array) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.backends.neighbours_2d import Sorted2D, nearest_2d, sorted_2d, tangent_at
-from rbtm_bench.core.geometry import transform
+from rbtm_bench.core.geometry import symmetric, transform
 from rbtm_bench.core.kernels import kernel
 from rbtm_bench.core.types import Array, Localizability, RegistrationResult
 
@@ -185,4 +185,4 @@ def _localizability_3d(
     p = points[has_normal]
     lever = math.sqrt(float((p * p).sum(axis=1).mean())) or 1.0
     j = np.hstack([n, np.cross(p, n) / lever])
-    return Localizability(j.T @ j / len(j), lever)
+    return Localizability(symmetric(j.T @ j / len(j)), lever)

@@ -73,8 +73,9 @@ class PairwiseSimilarity(Similarity):
     """A similarity whose score is made of inner products, so that any set of pairs is one call.
 
     A plug-in writes ``pair_scores`` instead of ``scores``. A pair's bits do not depend on which
-    others it is computed with (``np.vecdot`` takes every pair by itself, a matrix product would
-    not), so a band computed beforehand and scores computed scan by scan are the same.
+    others it is computed with (``inner`` takes every pair by itself; a matrix product would not,
+    nor ``np.vecdot`` on every processor), so a band computed beforehand and scores computed scan by
+    scan are the same.
     """
 
     @abstractmethod

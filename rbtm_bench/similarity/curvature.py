@@ -15,6 +15,7 @@ from annotated_types import Ge, Le
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.similarity.base import Descriptor, PairwiseSimilarity, require_beams
+from rbtm_bench.similarity.inner import inner
 
 NEGLIGIBLE_VARIANCE = 1e-12
 """rad^2: below this the angles of a scan are equal to within rounding."""
@@ -48,12 +49,12 @@ class Curvature(PairwiseSimilarity):
         """Equation (3) over the values that both scans have."""
         x, x_known = _zero_unknown(rows)
         y, y_known = _zero_unknown(columns)
-        shared = np.vecdot(x_known, y_known)
-        sum_x, sum_y = np.vecdot(x, y_known), np.vecdot(x_known, y)
+        shared = inner(x_known, y_known)
+        sum_x, sum_y = inner(x, y_known), inner(x_known, y)
         with np.errstate(divide="ignore", invalid="ignore"):
-            cov = (np.vecdot(x, y) - sum_x * sum_y / shared) / shared
-            var_x = (np.vecdot(x * x, y_known) - sum_x**2 / shared) / shared
-            var_y = (np.vecdot(x_known, y * y) - sum_y**2 / shared) / shared
+            cov = (inner(x, y) - sum_x * sum_y / shared) / shared
+            var_x = (inner(x * x, y_known) - sum_x**2 / shared) / shared
+            var_y = (inner(x_known, y * y) - sum_y**2 / shared) / shared
             score = cov / np.sqrt(var_x * var_y)
         defined = (
             (shared >= max(2.0, self.min_valid_share * rows.shape[-1]))

@@ -22,6 +22,7 @@ from rbtm_bench.similarity.base import (
     beam_spacing,
     require_beams,
 )
+from rbtm_bench.similarity.inner import inner
 
 NEGLIGIBLE_VARIANCE = 1e-9
 
@@ -101,9 +102,9 @@ class CurvatureCircular(PairwiseSimilarity):
 
     def _score(self, rows: Descriptor, columns: Descriptor, lag: int, beams: int) -> Array:
         a, b, m = (columns[..., k * beams : (k + 1) * beams] for k in range(3))
-        shared = np.vecdot(rows[..., 2 * beams :], m)
-        real = np.vecdot(rows[..., : 2 * beams], columns[..., : 2 * beams])
-        imag = np.vecdot(rows[..., beams : 2 * beams], a) - np.vecdot(rows[..., :beams], b)
+        shared = inner(rows[..., 2 * beams :], m)
+        real = inner(rows[..., : 2 * beams], columns[..., : 2 * beams])
+        imag = inner(rows[..., beams : 2 * beams], a) - inner(rows[..., :beams], b)
         with np.errstate(divide="ignore", invalid="ignore"):
             real, imag = real / shared, imag / shared
             if self.center:
@@ -158,8 +159,8 @@ def _centred(
     on shared beams, so each variance is 1 - |mean|^2."""
     m_rows, m_cols = rows[..., 2 * beams :], columns[..., 2 * beams :]
     first, second = slice(0, beams), slice(beams, 2 * beams)
-    mean_u = np.vecdot(rows[..., first], m_cols) + 1j * np.vecdot(rows[..., second], m_cols)
-    mean_v = np.vecdot(m_rows, columns[..., first]) + 1j * np.vecdot(m_rows, columns[..., second])
+    mean_u = inner(rows[..., first], m_cols) + 1j * inner(rows[..., second], m_cols)
+    mean_v = inner(m_rows, columns[..., first]) + 1j * inner(m_rows, columns[..., second])
     mean_u, mean_v = mean_u / shared, mean_v / shared
     variance = (1.0 - np.abs(mean_u) ** 2) * (1.0 - np.abs(mean_v) ** 2)
     variance = np.where(variance > NEGLIGIBLE_VARIANCE, variance, np.nan)

@@ -16,6 +16,7 @@ from rbtm_bench.similarity.base import (
     beam_spacing,
     require_beams,
 )
+from rbtm_bench.similarity.inner import inner
 
 NEGLIGIBLE_VARIANCE = 1e-6
 """m^2: below this (1 mm of deviation) the ranges are those of a circle around the sensor."""
@@ -70,12 +71,12 @@ class RangeCorrelation(PairwiseSimilarity):
         x, xx, x_known = (rows[..., k * beams + start :][..., :count] for k in range(3))
         start = max(-lag, 0)
         y, yy, y_known = (columns[..., k * beams + start :][..., :count] for k in range(3))
-        shared = np.vecdot(x_known, y_known)
-        sum_x, sum_y = np.vecdot(x, y_known), np.vecdot(x_known, y)
+        shared = inner(x_known, y_known)
+        sum_x, sum_y = inner(x, y_known), inner(x_known, y)
         with np.errstate(divide="ignore", invalid="ignore"):
-            cov = (np.vecdot(x, y) - sum_x * sum_y / shared) / shared
-            var_x = (np.vecdot(xx, y_known) - sum_x * sum_x / shared) / shared
-            var_y = (np.vecdot(x_known, yy) - sum_y * sum_y / shared) / shared
+            cov = (inner(x, y) - sum_x * sum_y / shared) / shared
+            var_x = (inner(xx, y_known) - sum_x * sum_x / shared) / shared
+            var_y = (inner(x_known, yy) - sum_y * sum_y / shared) / shared
             score = cov / np.sqrt(var_x * var_y)
         defined = (
             (shared >= max(2.0, self.min_valid_share * beams))

@@ -113,7 +113,12 @@ def test_on_planar_scans_it_is_the_library_s_in_the_plane(cls: type[Open3DICP]) 
     np.testing.assert_allclose(
         result.information[PLANE], expected[PLANE], rtol=1e-6, atol=1e-6 * expected.max()
     )
-    assert np.count_nonzero(result.information) == 9
+    # nothing leaves the plane; x and y of points know nothing of each other but by rounding
+    rest = result.information.copy()
+    assert np.count_nonzero(rest[PLANE]) >= 7
+    rest[PLANE] = 0.0
+    assert not rest.any()
+    assert abs(result.information[0, 1]) <= 1e-15 * 8 * expected[0, 0]
 
 
 def test_it_is_the_bend_of_the_cost_at_fixed_correspondences() -> None:

@@ -10,11 +10,13 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
 from rbtm_bench.core.geometry import (
+    information_in_source_frame,
     inverse,
     is_rigid,
     rotation_angle,
     se2,
     se3,
+    symmetric,
     to_plane,
     to_rotation,
     transform,
@@ -128,6 +130,21 @@ def test_to_rotation_is_a_rotation_and_the_nearest(T, noise):
     R = to_rotation(rough)
     assert is_rigid(se3([0, 0, 0], R), tolerance=1e-12)
     assert np.linalg.norm(rough - R) <= np.linalg.norm(noise) + 1e-12
+
+
+def test_symmetric_is_so_to_the_last_bit_and_leaves_what_is_so():
+    M = np.random.default_rng(0).normal(size=(5, 4, 4))
+    S = symmetric(M)
+    np.testing.assert_array_equal(S, np.swapaxes(S, 1, 2))
+    np.testing.assert_array_equal(symmetric(S), S)
+    np.testing.assert_array_equal(S[2], (M[2] + M[2].T) / 2)
+
+
+@given(T=motions())
+def test_information_in_another_frame_is_symmetric(T):
+    J = np.random.default_rng(0).normal(size=(20, 6))
+    found = information_in_source_frame(symmetric(J.T @ J), T)
+    np.testing.assert_array_equal(found, found.T)
 
 
 def test_to_rotation_of_a_reflection_is_right_handed():

@@ -35,8 +35,10 @@ def test_every_module_with_kernels_is_in_the_digest() -> None:
     package = Path(kernels.__file__).parents[1]
     for path in package.rglob("*.py"):
         source = path.read_bytes()
-        assert b"njit" not in source or path.name == "kernels.py", f"{path}: use @kernel"
-        assert b"\n@kernel\n" not in source or kernels.USE in source, path
+        for numba_s_own in (b"njit", b"numba.vectorize", b"guvectorize"):
+            assert numba_s_own not in source or path.name == "kernels.py", f"{path}: use @kernel"
+        for ours in (b"\n@kernel\n", b"\n@broadcasting("):
+            assert ours not in source or kernels.USE in source, path
 
 
 def test_numba_s_own_setting_is_left_as_it_was() -> None:
@@ -54,7 +56,7 @@ def test_numba_s_own_setting_is_left_as_it_was() -> None:
 def ask(folder: Path, digest: str, cache: Path) -> str:
     """outer(1) in a new process, for sources whose digest is this."""
     code = (
-        f"from rbtm_bench import kernels; kernels.digest = lambda: {digest!r}\n"
+        f"from rbtm_bench.core import kernels; kernels.digest = lambda: {digest!r}\n"
         "from kernels_of.outer import outer; print(outer(1))"
     )
     environment = {**os.environ, "XDG_CACHE_HOME": str(cache), "PYTHONPATH": str(folder)}

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
-from rbtm_bench.core.geometry import inverse, se2
+from rbtm_bench.core.geometry import inverse, se2, se3
 from rbtm_bench.core.types import Localizability, RegistrationResult
 from rbtm_bench.core.uncertainty import (
     SMALLEST_STD,
@@ -41,6 +42,17 @@ def test_in_the_plane_only_x_y_and_the_turn_are_unsure() -> None:
     information = np.diag([4.0, 16.0, 0.0, 0.0, 0.0, 2500.0])
     found = edge_covariance(result(information=information), planar=True)
     np.testing.assert_allclose(np.diag(found), [0.25, 1 / 16, 0, 0, 0, 1 / 2500])
+
+
+def test_covariances_are_symmetric_to_the_last_bit() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        J = rng.normal(size=(30, 6))
+        edge = edge_covariance(result(information=J.T @ J), planar=False)
+        model = edge_covariance(result(information=(J[:9].T @ J[:9])), planar=False)
+        T = se3(rng.normal(size=3), Rotation.random(rng=rng).as_matrix())
+        for found in (edge, chained(model, T, edge)):
+            np.testing.assert_array_equal(found, found.T)
 
 
 HELD = Localizability(np.diag([0.0, 0.5, 0.25]), lever=2.0)

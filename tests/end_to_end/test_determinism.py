@@ -16,7 +16,10 @@ import rbtm_bench
 
 BACKENDS = ("open3d_p2p", "open3d_p2plane", "open3d_gicp", "kiss_icp")
 
-REPEATS = 100
+REPEATS = 20
+"""Unpinned, these show in generalized ICP, with near certainty; in point-to-plane one call in some
+hundred is another, which is for the soak."""
+MANY_REPEATS = 300
 
 REGISTER = """
 import hashlib, json, os, sys
@@ -76,11 +79,15 @@ def start(repeats: int, lock_folder: Path) -> subprocess.Popen[str]:
     )
 
 
-@pytest.fixture(scope="module")
-def two_processes(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+@pytest.fixture(
+    scope="module", params=[REPEATS, pytest.param(MANY_REPEATS, marks=pytest.mark.soak)]
+)
+def two_processes(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> list[dict[str, Any]]:
     """What a process of many repeats and one of few found, side by side."""
     folder = tmp_path_factory.mktemp("locks")
-    running = [start(REPEATS, folder), start(3, folder)]
+    running = [start(request.param, folder), start(3, folder)]
     answers = []
     for process in running:
         assert process.stdout is not None
@@ -94,9 +101,9 @@ def two_processes(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, An
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this platform cannot pin")
 @pytest.mark.slow
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_hundred_registrations_and_another_process(two_processes, backend: str) -> None:
+def test_many_registrations_and_another_process(two_processes, backend: str) -> None:
     many, few = two_processes
-    assert len(many["found"][backend]) == 1, f"{REPEATS} equal calls gave different bits"
+    assert len(many["found"][backend]) == 1, "equal calls gave different bits"
     assert many["found"][backend] == few["found"][backend], "another process gave other bits"
     if many["cores"] > 1:
         assert many["core"] != few["core"], "nothing was learned about another core"

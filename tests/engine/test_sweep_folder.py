@@ -24,14 +24,14 @@ def test_failures_of_a_sweep_are_rows(tmp_path: Path, launcher: str) -> None:
     out = tmp_path / "out"
     words = ("backend=moody", "backend.how=none,raise,segfault,hang,exit,none", *SMALL, *MOODY)
     code, _, err = outside(
-        "sweep", *words, "time_limit=10", f"hydra/launcher={launcher}", f"out={out}"
+        "sweep", *words, "time_limit=5", f"hydra/launcher={launcher}", f"out={out}"
     )
     assert code == 1 and "4 of 6 runs failed" in err
     assert [(row["status"], row["reason"]) for row in rows(out).values()] == [
         ("done", ""),
         ("failed", "ZeroDivisionError: division by zero"),
         ("failed", "the process died: signal 11 (SIGSEGV)"),
-        ("failed", "time limit of 10 s"),
+        ("failed", "time limit of 5 s"),
         ("failed", "the process died: exit code 3"),
         ("done", ""),
     ]

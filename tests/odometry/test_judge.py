@@ -46,6 +46,14 @@ def test_fitness_rmse_and_inliers_by_hand() -> None:
     assert inliers == 3
 
 
+def test_localizability_in_space_is_symmetric_to_the_last_bit() -> None:
+    walls = np.random.default_rng(0).uniform(0.0, 2.0, (600, 3))
+    walls[np.arange(600), np.arange(600) % 3] = 0.0
+    held = evaluate(prepared(walls), prepared(walls), se2(0.01, 0.02, 0.1), 0.3).localizability
+    assert held is not None and held.matrix.shape == (6, 6)
+    np.testing.assert_array_equal(held.matrix, held.matrix.T)
+
+
 def test_the_radius_itself_is_outside() -> None:
     source = prepared([[0, 0.5, 0], [1, 0.499, 0]])
     assert evaluate(source, prepared(LINE), np.eye(4), 0.5)[2] == 1
