@@ -21,7 +21,7 @@ from pathlib import Path
 
 from bench_basin import NEAR_DEG, NEAR_M, backends_for
 
-from rbtm_bench.calibration.known_pairs import Outcome, Pair, errors_of, pairs_of, register_all
+from rbtm_bench.calibration.known_pairs import KnownPair, Outcome, errors_of, pairs_of, register_all
 from rbtm_bench.core.files import make_folder, write_atomically
 from rbtm_bench.engine.progress import bar
 from rbtm_bench.runs import experiment, settings
@@ -32,14 +32,14 @@ FLOOR = (0.02, 0.3)
 COLUMNS = ("log", "backend", "mean_m", "mean_deg", "near", "ms", "failed", "pairs")
 
 
-def pairs_in(log: Path) -> list[Pair]:
+def pairs_in(log: Path) -> list[KnownPair]:
     """Consecutive scans with corrected pose and odometry."""
     words = ["dataset=carmen", f"dataset.path='{log}'"]
     dataset = experiment.build(settings.compose_settings(words).config["dataset"])
     return [pair for pair in pairs_of(dataset) if pair.odometry is not None]
 
 
-def guesses_of(pairs: list[Pair]) -> list[Outcome]:
+def guesses_of(pairs: list[KnownPair]) -> list[Outcome]:
     """What the raw odometry alone is off."""
     return [
         Outcome(*errors_of(pair.odometry, pair.T_target_source), 0.0)
