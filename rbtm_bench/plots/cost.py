@@ -48,10 +48,10 @@ class Point:
 
 def draw(data: Data) -> Iterator[Figure]:
     """The figure; nothing for fewer than two methods with an error and a time above zero."""
-    found = labels.main_error([run for run in data.runs if run.done])
-    if found is None:
+    main_error = labels.main_error([run for run in data.runs if run.done])
+    if main_error is None:
         return
-    key, unit, name = found
+    key, unit, name = main_error
     points = read(data, key)
     if len(points) < 2:
         return
@@ -116,8 +116,8 @@ def _link(ax: Axes, points: Sequence[Point]) -> dict[str, tuple[tuple[float, flo
     places: dict[str, tuple[tuple[float, float], ...]] = {}
     for point in sorted(points, key=lambda p: p.error):
         places[point.backend] = (*places.get(point.backend, ()), (point.time, point.error))
-    for found in places.values():
-        ax.plot(*zip(*found, strict=True), **LINK, zorder=1)
+    for line in places.values():
+        ax.plot(*zip(*line, strict=True), **LINK, zorder=1)
     return places
 
 
@@ -188,10 +188,10 @@ def _by_selector(data: Data) -> dict[str, Look]:
 
 
 def _handles(data: Data, own: dict[str, Look], points: Sequence[Point]) -> list[Any]:
-    found = {selector: own[name].mark for name, selector in reversed(data.methods.items())}
+    marks = {selector: own[name].mark for name, selector in reversed(data.methods.items())}
     out = [
         panels.handle("whole system" if selector == "none" else selector, ls="", **mark)
-        for selector, mark in reversed(found.items())
+        for selector, mark in reversed(marks.items())
     ]
     out.append(panels.handle("Pareto front", **FRONT))
     if not all(point.whole for point in points):

@@ -171,7 +171,7 @@ def _frame(ax: Axes, column: int, row: int) -> None:
 
 
 def _write(ax: Axes, column: int, row: int, cell: Cell, colour: str) -> None:
-    """The cell's value; a star says that it is the median of fewer runs than there were."""
+    """The cell's value; a star says that it is the median of a part of the runs."""
     if cell.known:
         text = short(cell.median) + ("*" if cell.known < cell.runs else "")
         ax.text(
@@ -199,13 +199,13 @@ def _colour_bar(figure: Figure, image: AxesImage, axes: list[Axes], label: str) 
 
 
 def _legend(panels: list[Panel], look: Look) -> list[Any]:
-    found = [cell for panel in panels for cell in panel.cells.values()]
+    cells = [cell for panel in panels for cell in panel.cells.values()]
     handles: list[Any] = [Patch(**BEST, label="best (on this data)")]
-    if any(not cell.known for cell in found):
+    if any(not cell.known for cell in cells):
         handles.append(Patch(**FAILED, label="failed"))
     if any(len(panel.cells) < len(look.x) * len(look.y) for panel in panels):
         handles.append(Patch(**MISSING, label="not run"))
-    if look.written and any(0 < cell.known < cell.runs for cell in found):
+    if look.written and any(0 < cell.known < cell.runs for cell in cells):
         handles.append(
             Line2D([], [], ls="", marker="$*$", color="k", ms=4, label="some runs failed")
         )

@@ -68,7 +68,7 @@ class Data:
 
     @property
     def values(self) -> list[float]:
-        """All there are, the guess alone included."""
+        """All of them, the guess alone included."""
         all_of_them = [*(v for values in self.cells.values() for v in values), self.guess]
         return [v for v in all_of_them if v is not None]
 
@@ -119,19 +119,19 @@ def data_parts(runs: Sequence[Run], settings: bool = True) -> list[Data]:
     firsts = [group[0] for group in by_data.values()]
     out = []
     for group in by_data.values():
-        found = labels.main_error([run for run in group if run.done])
-        if found is None:
+        main_error = labels.main_error([run for run in group if run.done])
+        if main_error is None:
             continue
         alike = [r for r in firsts if labels.data_name(r) == labels.data_name(group[0])]
         words = labels.varying(alike, "dataset")[group[0]]
         rows = method_names(group) if settings else _selectors(group)
         name = ", ".join([labels.data_name(group[0]), *words])
-        out.append(_data(name, group, rows, found))
+        out.append(_data(name, group, rows, main_error))
     return out
 
 
 def _selectors(runs: Sequence[Run]) -> dict[Run, str]:
-    """Coarse names: the selector and how many settings of it there are."""
+    """Coarse names: the selector and the number of its settings."""
     settings: dict[str, set[str]] = {}
     for run, name in method_names(runs).items():
         settings.setdefault(labels.choice(run, "selector"), set()).add(name)
@@ -161,10 +161,10 @@ def _data(name: str, runs: list[Run], names: dict[Run, str], error: tuple[str, s
 
 def _guess(runs: Sequence[Run], key: str) -> float | None:
     """The error of runs without registration, if the selector makes no difference to it."""
-    found = [number for run in runs if (number := labels.value(run, key)) is not None]
-    if not found or max(found) > ONE_VALUE * min(found):
+    known = [number for run in runs if (number := labels.value(run, key)) is not None]
+    if not known or max(known) > ONE_VALUE * min(known):
         return None
-    return float(np.median(found))
+    return float(np.median(known))
 
 
 def draw_part(

@@ -78,7 +78,7 @@ def descriptors(scans: int) -> Figure:
         phi = (similarity.describe(data[0]), similarity.describe(data[apart]))
         score = float(similarity.scores(phi[0][None], phi[1])[0])
         name = "without noise" if noise_mm == 0 else f"{noise_mm:g} mm of range noise"
-        pairs.append(paper.Pair(name, phi, score))
+        pairs.append(paper.DescriptorPair(name, phi, score))
     data = Corridor(scans=scans, range_noise=0.0)
     places = ("scan j = 1", f"scan k = {apart + 1}, {APART_CM:g} cm further")
     views = tuple(_view(data, k, name) for k, name in zip((0, apart), places, strict=True))
