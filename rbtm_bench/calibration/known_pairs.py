@@ -33,7 +33,7 @@ class KnownPair:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class PairOutcome:
     """How one registration ended: off by so many m and deg, in s; NaN where it raised."""
 
     metres: float
@@ -79,7 +79,7 @@ def errors_of(T: Array, truth: Array) -> tuple[float, float]:
 
 def register_all(
     backend: Backend, pairs: Sequence[KnownPair], guesses: Sequence[Array]
-) -> Iterator[Outcome]:
+) -> Iterator[PairOutcome]:
     """The outcome of every pair from its guess (4, 4). A scan is prepared once for neighbours."""
     prepared: dict[int, Prepared] = {}
     for pair, guess in zip(pairs, guesses, strict=True):
@@ -92,10 +92,10 @@ def register_all(
             source, target = prepared[id(pair.source)], prepared[id(pair.target)]
             result = judge.register(backend, source, target, guess)
         except BackendError as error:
-            yield Outcome(math.nan, math.nan, math.nan, reason=str(error))
+            yield PairOutcome(math.nan, math.nan, math.nan, reason=str(error))
             continue
         metres, degrees = errors_of(result.T_target_source, pair.T_target_source)
-        yield Outcome(metres, degrees, result.seconds, result.iterations, result.converged)
+        yield PairOutcome(metres, degrees, result.seconds, result.iterations, result.converged)
 
 
 def disturbed(pair: KnownPair, metres: float, degrees: float, random: np.random.Generator) -> Array:

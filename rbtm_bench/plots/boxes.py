@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from rbtm_bench.plots import groups, methods, style
-from rbtm_bench.plots.methods import Data
+from rbtm_bench.plots.methods import MethodErrors
 from rbtm_bench.report.frame import Run
 
 LEAST = 4
@@ -59,19 +59,19 @@ def draw(runs: Sequence[Run]) -> Iterator[tuple[str, Figure]]:
         yield stem, figure
 
 
-def values(part: Data, backend: str, row: methods.Row) -> list[float]:
+def values(part: MethodErrors, backend: str, row: methods.Row) -> list[float]:
     """The errors of a method that are known."""
     return [value for value in part.cells.get((backend, row), []) if value is not None]
 
 
-def _same_n(part: Data) -> int | None:
+def _same_n(part: MethodErrors) -> int | None:
     """How many runs every method has, None if they differ or one has no result."""
     counts = {len(values(part, *place)) for place in part.cells}
     counts |= {len(runs) for runs in part.cells.values()}
     return counts.pop() if len(counts) == 1 else None
 
 
-def _draw_panel(ax: Axes, part: Data, backend: str) -> None:
+def _draw_panel(ax: Axes, part: MethodErrors, backend: str) -> None:
     for height, row in enumerate(part.rows):
         ax.axhline(height, color="0.88", lw=0.5, zorder=0)
         runs, errors = part.cells.get((backend, row), []), values(part, backend, row)
@@ -94,7 +94,7 @@ def _draw_panel(ax: Axes, part: Data, backend: str) -> None:
         ax.axvline(part.guess, **methods.GUESS, zorder=1)
 
 
-def _legend(part: Data) -> list[Any]:
+def _legend(part: MethodErrors) -> list[Any]:
     counts = [len(values(part, *place)) for place in part.cells]
     out: list[Any] = [
         Patch(**BOX[kind], label=f"quartiles, {'rbtm' if kind else 'control'}")

@@ -46,7 +46,7 @@ ALIGNED = {
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class ErrorCourse:
     """The errors of a method's runs. ``x`` (N,) m or s; ``errors`` (R, N) m, a row a seed."""
 
     x: Array
@@ -106,14 +106,16 @@ def draw(data: Data) -> Iterator[Figure]:
     yield from panels.pages(few.panels, COLUMNS, TALL, panel, title, handles)
 
 
-def _draw_course(ax: Axes, name: str, course: Course, per: float, look: Look, phase: float) -> None:
+def _draw_course(
+    ax: Axes, name: str, course: ErrorCourse, per: float, look: Look, phase: float
+) -> None:
     every = max(1, len(course.x) // MARKS)
     first = min(int(phase * every) + every // 2, len(course.x) - 1)
     mark = {**look.mark, "ms": 3.5, "mew": 0.8, "markevery": (first, every)}
     ax.plot(course.x, per * course.median, **look.line, **mark, label=name, zorder=3)
 
 
-def _draw_band(ax: Axes, course: Course, per: float, look: Look) -> None:
+def _draw_band(ax: Axes, course: ErrorCourse, per: float, look: Look) -> None:
     low, high = course.errors.min(axis=0), course.errors.max(axis=0)
     ax.fill_between(course.x, per * low, per * high, color=look.colour, **BAND, zorder=2)
 
@@ -138,7 +140,7 @@ def _handles(own: dict[str, Look], band: bool, guess: bool) -> list[Any]:
     return handles
 
 
-def _course(runs: Sequence[Run], align: str, moving: bool) -> Course | None:
+def _course(runs: Sequence[Run], align: str, moving: bool) -> ErrorCourse | None:
     """The errors of the runs that have a truth, over that of the first; runs whose truth has
     another length of path, or fewer scans, are left out."""
     x: Array | None = None
@@ -155,7 +157,7 @@ def _course(runs: Sequence[Run], align: str, moving: bool) -> Course | None:
             continue
         x = own
         rows.append(errors)
-    return None if x is None else Course(x, np.stack(rows))
+    return None if x is None else ErrorCourse(x, np.stack(rows))
 
 
 def _abscissa(paths: Paths, moving: bool) -> Array:

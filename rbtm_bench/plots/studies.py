@@ -30,7 +30,7 @@ class Cell:
 
 
 @dataclass(frozen=True, eq=False)
-class Panel:
+class StudyPanel:
     """One backend (and what else tells its runs apart). ``cells`` are by the settings' values;
     ``control`` is the error of the selector "previous", None if unknown."""
 
@@ -45,7 +45,7 @@ class Panel:
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class SettingsStudy:
     """One data set's runs of one selector: their error over the settings ``axes``."""
 
     stem: str
@@ -54,7 +54,7 @@ class Study:
     axes: tuple[str, ...]
     unit: str
     error: str
-    panels: list[Panel]
+    panels: list[StudyPanel]
 
     @property
     def medians(self) -> list[float]:
@@ -73,9 +73,9 @@ class Study:
         return f"{self.data}: {self.error} of {self.selector} over {over}{medians}"
 
 
-def studies(runs: Sequence[Run]) -> list[Study]:
+def studies(runs: Sequence[Run]) -> list[SettingsStudy]:
     """What can be drawn, by data set and selector."""
-    out: list[Study] = []
+    out: list[SettingsStudy] = []
     for file, name, group in by_data(runs):
         main_error = labels.main_error([run for run in group if run.done])
         if main_error is None:
@@ -89,7 +89,9 @@ def studies(runs: Sequence[Run]) -> list[Study]:
                 stem = file if selector == "rbtm" else file_name(f"{file}-{selector}")
                 stem = unique(stem, [study.stem for study in out])
                 panels = _panels(chosen, real, axes, main_error[0], controls)
-                out.append(Study(stem, name, selector, axes, main_error[1], main_error[2], panels))
+                out.append(
+                    SettingsStudy(stem, name, selector, axes, main_error[1], main_error[2], panels)
+                )
     return [study for study in out if study.medians]
 
 
@@ -128,7 +130,7 @@ def _panels(
     axes: tuple[str, ...],
     key: str,
     controls: dict[str, float],
-) -> list[Panel]:
+) -> list[StudyPanel]:
     base = _base_names(everything)
     own = labels.distinctions(chosen, ("similarity",))
     others = labels.varying(chosen, "selector", skip=(*axes, "gaps", "gaps_from"))
@@ -139,7 +141,9 @@ def _panels(
         place = tuple(numbers[axis] for axis in axes)
         groups.setdefault((name, base[run]), {}).setdefault(place, []).append(run)
     return [
-        Panel(name, {p: _cell(members, key) for p, members in places.items()}, controls.get(under))
+        StudyPanel(
+            name, {p: _cell(members, key) for p, members in places.items()}, controls.get(under)
+        )
         for (name, under), places in groups.items()
     ]
 

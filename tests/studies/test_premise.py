@@ -79,8 +79,8 @@ def test_the_pooled_share_is_of_logarithms() -> None:
         class place:  # noqa: N801
             kind = plan.simulated(1, 1)[0].kind
 
-    def outcome(values: list[float]) -> numbers.Outcome:
-        return numbers.Outcome(One, 1, "", [], len(values), seeds(values))
+    def outcome(values: list[float]) -> numbers.TryOutcome:
+        return numbers.TryOutcome(One, 1, "", [], len(values), seeds(values))
 
     outcomes = {}
     for place, scale in (("a", 1.0), ("b", 1000.0)):
@@ -122,8 +122,8 @@ def test_a_side_with_failed_runs_is_not_called_better() -> None:
     assert ours.lacks(theirs) and not theirs.lacks(ours)
     assert theirs.beside(ours) == pytest.approx(2.045)  # over the seeds that both have
 
-    def outcome(name: str, errors: numbers.Errors) -> numbers.Outcome:
-        return numbers.Outcome(None, 4, "", [], 20, errors)
+    def outcome(name: str, errors: numbers.Errors) -> numbers.TryOutcome:
+        return numbers.TryOutcome(None, 4, "", [], 20, errors)
 
     outcomes = {("a", "p", "rbtm"): outcome("rbtm", ours)}
     outcomes["a", "p", "keyframe"] = outcome("keyframe", theirs)

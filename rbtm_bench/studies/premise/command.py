@@ -33,7 +33,7 @@ from rbtm_bench.studies.campaign import Campaign, begin
 from rbtm_bench.studies.options import DATA, data_folder, make_parser
 from rbtm_bench.studies.premise import numbers
 from rbtm_bench.studies.premise.figures import draw
-from rbtm_bench.studies.premise.numbers import Key, Outcome
+from rbtm_bench.studies.premise.numbers import Key, TryOutcome
 from rbtm_bench.studies.premise.plan import (
     BACKENDS,
     BOUNDS,
@@ -57,7 +57,7 @@ DRAWS = tuple(range(5))
 
 
 @dataclass(frozen=True)
-class Study:
+class PremiseStudy:
     """All tries of all places, by place, backend and strategy."""
 
     places: dict[str, Place]
@@ -72,12 +72,12 @@ class Study:
         )
 
 
-def make_study(places: Sequence[Place], backends: Sequence[str]) -> Study:
+def make_study(places: Sequence[Place], backends: Sequence[str]) -> PremiseStudy:
     by_key: dict[Key, list[Try]] = {}
     for place in places:
         for one in tries(place, backends):
             by_key.setdefault((place.name, one.backend, one.strategy), []).append(one)
-    return Study({place.name: place for place in places}, by_key)
+    return PremiseStudy({place.name: place for place in places}, by_key)
 
 
 def choosing_seeds(kind: Kind) -> tuple[int, ...]:
@@ -90,7 +90,7 @@ def shown_seeds(kind: Kind, strategy: str) -> tuple[int, ...]:
     return DRAWS if strategy in CHANCE else ()
 
 
-def first_runs(study: Study) -> list[Point]:
+def first_runs(study: PremiseStudy) -> list[Point]:
     """The runs that settings are chosen by; those on the same data one after the other."""
     keyed = [
         (key[0], seed, point)
@@ -104,7 +104,7 @@ def first_runs(study: Study) -> list[Point]:
     return [point for _, _, point in keyed]
 
 
-def choose(study: Study, folder: Path) -> dict[Key, tuple[Try, int, str]]:
+def choose(study: PremiseStudy, folder: Path) -> dict[Key, tuple[Try, int, str]]:
     """Of every place, backend and strategy the chosen try, of how many, and where it was chosen."""
     scores: dict[tuple[str, str, str, int], dict[str, float]] = {}
     for (place, backend, strategy), group in study.chosen_among():
@@ -147,7 +147,7 @@ def _scores(one: Try, folder: Path) -> dict[str, float]:
     return {"": errors.value if errors else float("nan")}
 
 
-def second_runs(study: Study, chosen: dict[Key, tuple[Try, int, str]]) -> list[Point]:
+def second_runs(study: PremiseStudy, chosen: dict[Key, tuple[Try, int, str]]) -> list[Point]:
     """The runs that are shown."""
     by_name: dict[str, tuple[str, int, Point]] = {}
     for key, (one, _, _) in chosen.items():
@@ -159,18 +159,18 @@ def second_runs(study: Study, chosen: dict[Key, tuple[Try, int, str]]) -> list[P
     return [point for _, _, point in ordered]
 
 
-def outcomes(chosen: dict[Key, tuple[Try, int, str]], folder: Path) -> dict[Key, Outcome]:
+def outcomes(chosen: dict[Key, tuple[Try, int, str]], folder: Path) -> dict[Key, TryOutcome]:
     by_key = {}
     for key, (one, tried, where) in chosen.items():
         seeds = shown_seeds(one.place.kind, key[2])
         names = [point.name for point in points(one, seeds)]
         runs = numbers.read(folder, names)
         errors = numbers.errors(runs, one.place.kind, seeds)
-        by_key[key] = Outcome(one, tried, where, runs, len(names), errors)
+        by_key[key] = TryOutcome(one, tried, where, runs, len(names), errors)
     return by_key
 
 
-def study_all(study: Study, options: argparse.Namespace, command: str) -> int:
+def study_all(study: PremiseStudy, options: argparse.Namespace, command: str) -> int:
     """Everything in order; the last thing printed is the share of the way to the oracle."""
     started = time.perf_counter()
     folder = options.out / "runs"

@@ -198,7 +198,7 @@ def share(random: Errors, ours: Errors, bound: Errors) -> Interval:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class TryOutcome:
     """A chosen try on a place: its runs that are done, of how many, and their errors."""
 
     one: Try
@@ -209,7 +209,7 @@ class Outcome:
     errors: Errors | None
 
 
-def table(outcomes: Mapping[Key, Outcome]) -> pd.DataFrame:
+def table(outcomes: Mapping[Key, TryOutcome]) -> pd.DataFrame:
     """A row a place, backend and strategy."""
     rows = []
     for (place, backend, strategy), outcome in outcomes.items():
@@ -232,7 +232,7 @@ def table(outcomes: Mapping[Key, Outcome]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def against(outcomes: Mapping[Key, Outcome], ours: str = "rbtm") -> pd.DataFrame:
+def against(outcomes: Mapping[Key, TryOutcome], ours: str = "rbtm") -> pd.DataFrame:
     """A row a place, backend and other strategy: rbtm minus it, paired. ``holds`` says "better" or
     "worse" where the interval excludes 0 and, over seeds, the signed-rank test adjusted for all
     comparisons of a place and backend (Holm) is below 0.05; never of a side of which a run failed
@@ -264,7 +264,7 @@ def against(outcomes: Mapping[Key, Outcome], ours: str = "rbtm") -> pd.DataFrame
     return pd.DataFrame(rows)
 
 
-def shares(outcomes: Mapping[Key, Outcome], bound: str = "oracle") -> pd.DataFrame:
+def shares(outcomes: Mapping[Key, TryOutcome], bound: str = "oracle") -> pd.DataFrame:
     """A row a place, backend and method between chance and the bound: ``share``."""
     rows = []
     for place, backend in dict.fromkeys((p, b) for p, b, s in outcomes if s == bound):
@@ -287,7 +287,7 @@ def chance_of(ours: str) -> str:
     return next((name for name, of in CHANCE.items() if of == ours), "random_gap")
 
 
-def pooled_share(outcomes: Mapping[Key, Outcome], ours: str, bound: str = "oracle") -> Interval:
+def pooled_share(outcomes: Mapping[Key, TryOutcome], ours: str, bound: str = "oracle") -> Interval:
     """The share over all simulated places and backends, of logarithms, so that a ratio counts the
     same everywhere: mean log(random / ours) over mean log(random / bound). Seeds are resampled,
     each with all its places and backends."""
