@@ -233,9 +233,8 @@ def _from_relations(
     group = np.append(edges, 0)[np.searchsorted(edges, gap)]
     far = translation_norm(known.T_target_source)
     near = [g for g in edges if np.any(group == g) and np.median(far[group == g]) <= track.reach]
-    stretch = stretches(
-        part, track.stamps
-    )  # a local relation may not span the other part's block either
+    # a local relation may not span the other part's block either
+    stretch = stretches(part, track.stamps)
     crosses = part[known.target] != part[known.source]
     crosses |= known.local & (stretch[known.target] != stretch[known.source])
     single = known.links == 1
