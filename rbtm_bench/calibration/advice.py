@@ -21,7 +21,7 @@ from rbtm_bench.core.types import Array
 
 STEP = 0.02
 """Between the thresholds that are tried."""
-FEWEST = 30
+FEWEST_PASSING = 30
 """Pairs of a gap above the threshold without which its success is not known."""
 FEWEST_SHARE = 1 / 3
 """Nor is it if they come from less than this share of the part's blocks: from one place."""
@@ -92,14 +92,14 @@ def advise(calibration: Evidence, reported: Evidence, wanted: float) -> Advice:
     known = [p for p in tried if p.success is not None and p.used >= LEAST_USE]
     enough = [p for p in known if _rate(p) >= wanted]
     if not known:
-        few = f"no advice: no gap has {FEWEST} pairs, from a third of the part's blocks, that pass"
-        return Advice(wanted, False, few)
+        few = f"no gap has {FEWEST_PASSING} pairs, from a third of the part's blocks, that pass"
+        return Advice(wanted, False, f"no advice: {few}")
     # of equal settings the higher threshold and the smaller window: the more cautious
     if enough:
         best = max(enough, key=lambda p: (round(p.reach, 6), _rate(p), p.threshold, -p.window))
     else:
         best = max(known, key=lambda p: (_rate(p), p.reach, p.threshold, -p.window))
-    least_gap = [g for g in reported.groups if (reported.group == g).sum() >= FEWEST][:1]
+    least_gap = [g for g in reported.groups if (reported.group == g).sum() >= FEWEST_PASSING][:1]
     smallest = np.isin(reported.group, least_gap)
     previous = rate(reported.success[smallest], reported.cluster[smallest])
     again = promise(reported, best.threshold, best.window, least=1)
@@ -122,14 +122,16 @@ def _why(reached: bool, best: Promise, wanted: float) -> str:
 
 def thresholds(score: Array) -> Array:
     """Round numbers that cover the scores (K,), a step below the lowest included."""
-    there = score[np.isfinite(score)]
-    if len(there) == 0:
+    defined = score[np.isfinite(score)]
+    if len(defined) == 0:
         return np.zeros(0)
-    low, high = np.floor(there.min() / STEP) - 1, np.ceil(there.max() / STEP)
+    low, high = np.floor(defined.min() / STEP) - 1, np.ceil(defined.max() / STEP)
     return np.round(STEP * np.arange(max(low, -1 / STEP), high + 1), 6)
 
 
-def promise(evidence: Evidence, threshold: float, window: int, least: int = FEWEST) -> Promise:
+def promise(
+    evidence: Evidence, threshold: float, window: int, least: int = FEWEST_PASSING
+) -> Promise:
     """What RBTM with this setting would do, by the evidence.
 
     The success of a gap with fewer than ``least`` pairs above the threshold, or with pairs from
@@ -146,7 +148,7 @@ def promise(evidence: Evidence, threshold: float, window: int, least: int = FEWE
     members = [above & (evidence.group == g) for g in evidence.groups]
     pairs = np.array([int(m.sum()) for m in members])
     blocks = np.array([len(np.unique(evidence.cluster[m])) for m in members])
-    every = len(np.unique(evidence.cluster)) if least == FEWEST else 0
+    every = len(np.unique(evidence.cluster)) if least == FEWEST_PASSING else 0
     known = (pairs >= least) & (blocks >= FEWEST_SHARE * every)
     total = chosen.sum()
     if total == 0 or chosen[known].sum() < 0.9 * total:
@@ -155,8 +157,8 @@ def promise(evidence: Evidence, threshold: float, window: int, least: int = FEWE
         zip(evidence.groups, np.where(known, chosen / np.maximum(pairs, 1), 0), strict=True)
     )
     weights = np.array([share.get(g, 0.0) for g in evidence.group]) * above
-    found = rate(evidence.success, evidence.cluster, weights)
-    return Promise(threshold, window, found, used, reach, found.n, all_pass)
+    success = rate(evidence.success, evidence.cluster, weights)
+    return Promise(threshold, window, success, used, reach, success.n, all_pass)
 
 
 def choices(offered: Array, threshold: float, inside: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -54,8 +54,8 @@ class Measured:
 
 def successes(outcome: pd.DataFrame, within: tuple[float, float]) -> Array:
     """(K,) bool: the error is at most ``within`` (m, deg); a failed registration is no success."""
-    found = (outcome["error_m"] <= within[0]) & (outcome["error_deg"] <= within[1])
-    return np.asarray(found, bool)
+    success = (outcome["error_m"] <= within[0]) & (outcome["error_deg"] <= within[1])
+    return np.asarray(success, bool)
 
 
 def roc_rows(measured: Measured) -> pd.DataFrame:
@@ -63,7 +63,7 @@ def roc_rows(measured: Measured) -> pd.DataFrame:
     predictor: area, low, high, its difference from the gap's area, counts and costs."""
     import pandas as pd
 
-    found: list[dict[str, Any]] = []
+    area_rows: list[dict[str, Any]] = []
     for backend, outcome in measured.outcomes.items():
         for kind, part, inside in _kinds_and_parts(measured.pairs):
             rows, success = measured.pairs[inside], outcome["success"].to_numpy(bool)[inside]
@@ -75,8 +75,10 @@ def roc_rows(measured: Measured) -> pd.DataFrame:
                     for name, values in _predictors(measured, rows, inside).items()
                 }
                 head = {"backend": backend, "pairs": kind, "part": part, "compared": how}
-                found += [{**head, **_area_row(name, areas, measured, inside)} for name in areas]
-    return pd.DataFrame(found)
+                area_rows += [
+                    {**head, **_area_row(name, areas, measured, inside)} for name in areas
+                ]
+    return pd.DataFrame(area_rows)
 
 
 def _kinds_and_parts(pairs: pd.DataFrame) -> Iterator[tuple[str, str, Any]]:
@@ -100,32 +102,32 @@ def _strata(rows: pd.DataFrame) -> Any:
 
 def _predictors(measured: Measured, rows: pd.DataFrame, inside: Any) -> dict[str, Array]:
     """By name, numbers (K,) that should be larger for successes."""
-    found = {name: scores[inside] for name, scores in measured.scores.items()}
+    predictors = {name: scores[inside] for name, scores in measured.scores.items()}
     for column in PREDICTORS:
         values = -rows[column].to_numpy(np.float64)
         if np.isfinite(values).any():
-            found[column] = values
-    return found
+            predictors[column] = values
+    return predictors
 
 
 def _area_row(
     name: str, areas: Mapping[str, Area], measured: Measured, inside: Any
 ) -> dict[str, Any]:
-    found = areas[name]
+    roc_area = areas[name]
     row: dict[str, Any] = {
         "predictor": name,
-        "auc": found.value,
-        "auc_low": found.low,
-        "auc_high": found.high,
-        "successes": found.successes,
-        "failures": found.failures,
-        "couples": found.couples,
-        "blocks": found.blocks,
+        "auc": roc_area.value,
+        "auc_low": roc_area.low,
+        "auc_high": roc_area.high,
+        "successes": roc_area.successes,
+        "failures": roc_area.failures,
+        "couples": roc_area.couples,
+        "blocks": roc_area.blocks,
     }
     if name in measured.scores:
         undefined = int(np.isnan(measured.scores[name][inside]).sum())
         describe, score = measured.costs.get(name, (np.nan, np.nan))
-        minus = dict(zip(("", "_low", "_high"), found.minus(areas["gap"]), strict=True))
+        minus = dict(zip(("", "_low", "_high"), roc_area.minus(areas["gap"]), strict=True))
         row |= {f"minus_gap{end}": value for end, value in minus.items()}
         row |= {"undefined": undefined, "describe_us": 1e6 * describe, "score_us": 1e6 * score}
     return row
@@ -136,7 +138,7 @@ def summary_rows(measured: Measured) -> pd.DataFrame:
     "equal": over ranks within the gap, or a gap) and bin. The last bin of each is "undefined"."""
     import pandas as pd
 
-    found: list[dict[str, Any]] = []
+    bin_rows: list[dict[str, Any]] = []
     for backend, outcome in measured.outcomes.items():
         for name, scores in measured.scores.items():
             head = {"backend": backend, "similarity": name}
@@ -146,11 +148,11 @@ def summary_rows(measured: Measured) -> pd.DataFrame:
                     continue
                 rows = measured.pairs.iloc[inside]
                 for gap, x, some in _views(kind, rows, scores[inside]):
-                    found += [
+                    bin_rows += [
                         {**head, "pairs": kind, "gap": gap, **row}
                         for row in _bin_rows(x[some], inside[some], measured.pairs, outcome)
                     ]
-    return pd.DataFrame(found)
+    return pd.DataFrame(bin_rows)
 
 
 def _views(kind: str, rows: pd.DataFrame, scores: Array) -> Iterator[tuple[str, Array, Any]]:
@@ -172,7 +174,7 @@ def _bin_rows(
     errors = {key: outcome[key].to_numpy()[inside] for key in ("error_m", "error_deg")}
     clusters = pairs["cluster"].to_numpy()[inside]
     count = rates.BINS if len(x) >= 100 else 4
-    bins = [(str(k), *found) for k, found in enumerate(rates.bins_of(x, count))]
+    bins = [(str(k), *one_bin) for k, one_bin in enumerate(rates.bins_of(x, count))]
     undefined = np.flatnonzero(np.isnan(x))
     if len(undefined):
         bins.append(("undefined", np.nan, np.nan, undefined))
@@ -181,8 +183,8 @@ def _bin_rows(
         row = {"bin": name, "low": low, "high": high, "n": share.n, "blocks": share.blocks}
         row |= {"success": share.value, "success_low": share.low, "success_high": share.high}
         for key, values in errors.items():
-            found = rates.quantiles(values[members])
-            for q, value in zip(rates.QUANTILES, found, strict=True):
+            quantiles = rates.quantiles(values[members])
+            for q, value in zip(rates.QUANTILES, quantiles, strict=True):
                 row[f"{key}_q{100 * q:.0f}"] = value
         yield row
 
@@ -230,10 +232,10 @@ def evidence(measured: Measured, outcome: pd.DataFrame, similarity: str, part: s
     )
 
 
-def best_of(found: Mapping[tuple[str, str], Advice]) -> tuple[str, str] | None:
+def best_of(candidates: Mapping[tuple[str, str], Advice]) -> tuple[str, str] | None:
     """Of the advices the one to follow, by the calibration part alone: of those that reach the
     wanted success the one that reaches back farthest, else the one that promises most."""
-    some = {key: a for key, a in found.items() if a.chosen and a.chosen.success}
+    some = {key: a for key, a in candidates.items() if a.chosen and a.chosen.success}
     if not some:
         return None
     reached: Sequence[tuple[str, str]] = [key for key, a in some.items() if a.reached]

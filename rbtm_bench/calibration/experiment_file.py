@@ -20,7 +20,7 @@ ADDED = ("_target_",)
 def content(out: Path, asked: Asked, points: Sequence[Point]) -> str | None:
     """The best advice of the calibration in ``out`` as YAML; None if it advises nothing.
 
-    It names backend and similarity with all settings that the threshold was found with, for
+    It names backend and similarity with all settings that the threshold was chosen with, for
     another setting makes another score, and the guess that registrations started from. Words on
     the command line still win.
     """
@@ -46,10 +46,10 @@ def content(out: Path, asked: Asked, points: Sequence[Point]) -> str | None:
 
 
 def _comment(row: pd.Series[Any], command: str) -> list[str]:
-    said = "reaches" if row["reached"] else "does NOT reach"
+    outcome = "reaches" if row["reached"] else "does NOT reach"
     return [
         f"# Made by: {' '.join(command.split())}",
-        f"# Wanted success {row['wanted']:g}: the calibration part {said} it "
+        f"# Wanted success {row['wanted']:g}: the calibration part {outcome} it "
         f"({row['calibration_success']:.3f});",
         f"# on the reported part {_reported(row)}.",
     ]

@@ -16,7 +16,7 @@ from rbtm_bench.core.types import Array
 GuessName = Literal["auto", "odometry", "constant_velocity", "identity", "truth"]
 GUESSES: tuple[GuessName, ...] = ("auto", "odometry", "constant_velocity", "identity", "truth")
 
-TOLD = {
+DESCRIPTIONS = {
     "odometry": "odometry between the two scans",
     "constant_velocity": "constant velocity: the true poses up to the scan before the new one, "
     "and its last true step again (identity where these are not known)",

@@ -23,7 +23,7 @@ BREAKS = 40
 """Places where the break is looked for: quantiles of the scores from 5 to 95 percent."""
 EDGE = 0.05
 FEWEST_PAIRS, FEWEST_BLOCKS = 40, 6
-"""Without as many defined scores and blocks nothing is said."""
+"""With fewer defined scores or blocks it stays open whether errors have a knee."""
 FLOOR_M = 1e-4
 """Errors below this (m) count as this: their logarithm would say nothing about success."""
 RESAMPLES = 1000
@@ -33,12 +33,12 @@ GRADUAL, ABRUPT = MODELS[:4], MODELS[4:]
 
 @dataclass(frozen=True)
 class Knee:
-    """What was found. ``threshold`` with its interval; ``rise``: by which factor the median error
-    below is larger than above; ``model``: which of the two abrupt ones fits; ``gain``: mean squared
-    error of log10 that the knee saves on unseen blocks, with its interval; ``gradual``: the best
-    gradual one. ``why`` says in words what was found, or why nothing can be said."""
+    """Whether a knee is ``present``. ``threshold`` with its interval; ``rise``: by which factor the
+    median error below is larger than above; ``model``: which of the two abrupt ones fits; ``gain``:
+    mean squared error of log10 that the knee saves on unseen blocks, with its interval;
+    ``gradual``: the best gradual one. ``why``: the outcome in words, or why it stays open."""
 
-    found: bool
+    present: bool
     why: str
     threshold: float | None = None
     low: float | None = None
@@ -84,14 +84,14 @@ def knee(scores: ArrayLike, errors: ArrayLike, clusters: ArrayLike) -> Knee:
     span = percentiles(breaks[drawn])
     worse = bool(below > above) and _bends_down(designs[abrupt][best], y, abrupt)
     better = bool(low is not None and low > 0)
-    found = better and worse
+    present = better and worse
     rise = float(10 ** (below - above))
     facts = (at, *span, rise, abrupt, gradual, float(saved.mean()), low, high)
-    return Knee(found, _told(found, better, abrupt, gradual, at, rise), *facts)
+    return Knee(present, _why(present, better, abrupt, gradual, at, rise), *facts)
 
 
-def _told(found: bool, better: bool, abrupt: str, gradual: str, at: float, rise: float) -> str:
-    if found:
+def _why(present: bool, better: bool, abrupt: str, gradual: str, at: float, rise: float) -> str:
+    if present:
         return f"knee at {at:.2f}: the median error below is {rise:.1f} times that above ({abrupt})"
     if better:
         return f"no knee: errors change at {at:.2f}, but do not rise faster below it"
@@ -104,8 +104,8 @@ def _designs(x: Array, breaks: Array) -> dict[str, list[Array]]:
     powers = [np.stack([x**d for d in range(degree + 1)], axis=1) for degree in range(4)]
     lines = [np.stack([one, np.minimum(x - t, 0), np.maximum(x - t, 0)], 1) for t in breaks]
     steps = [np.stack([x < t, x >= t], axis=1).astype(np.float64) for t in breaks]
-    found = {name: [design] for name, design in zip(GRADUAL, powers, strict=True)}
-    return found | {"step": steps, "two lines": lines}
+    gradual = {name: [design] for name, design in zip(GRADUAL, powers, strict=True)}
+    return gradual | {"step": steps, "two lines": lines}
 
 
 def _unseen(

@@ -20,7 +20,7 @@ from rbtm_bench.odometry import judge
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class KnownPair:
     """Two scans and the motion (4, 4) between them, as exactly as it is known.
 
     ``odometry`` is the motion that the robot measured, None without odometry.
@@ -33,7 +33,7 @@ class Pair:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class PairOutcome:
     """How one registration ended: off by so many m and deg, in s; NaN where it raised."""
 
     metres: float
@@ -48,7 +48,7 @@ class Outcome:
         return self.metres <= metres and self.degrees <= degrees
 
 
-def pairs_of(dataset: Dataset, gap: int = 1, at_most: int | None = None) -> list[Pair]:
+def pairs_of(dataset: Dataset, gap: int = 1, at_most: int | None = None) -> list[KnownPair]:
     """The pairs (i, i + gap) of a data set with ground truth, ``at_most`` spread over it evenly.
 
     Pairs without ground truth are left out. Raises ``DataError`` if none remains.
@@ -65,7 +65,7 @@ def pairs_of(dataset: Dataset, gap: int = 1, at_most: int | None = None) -> list
         moved = None
         if target.odometry is not None and source.odometry is not None:
             moved = inverse(target.odometry) @ source.odometry
-        pairs.append(Pair(target, source, T, moved))
+        pairs.append(KnownPair(target, source, T, moved))
     if not pairs:
         raise DataError(f"no two scans {gap} apart have ground truth")
     return pairs
@@ -78,8 +78,8 @@ def errors_of(T: Array, truth: Array) -> tuple[float, float]:
 
 
 def register_all(
-    backend: Backend, pairs: Sequence[Pair], guesses: Sequence[Array]
-) -> Iterator[Outcome]:
+    backend: Backend, pairs: Sequence[KnownPair], guesses: Sequence[Array]
+) -> Iterator[PairOutcome]:
     """The outcome of every pair from its guess (4, 4). A scan is prepared once for neighbours."""
     prepared: dict[int, Prepared] = {}
     for pair, guess in zip(pairs, guesses, strict=True):
@@ -92,13 +92,13 @@ def register_all(
             source, target = prepared[id(pair.source)], prepared[id(pair.target)]
             result = judge.register(backend, source, target, guess)
         except BackendError as error:
-            yield Outcome(math.nan, math.nan, math.nan, reason=str(error))
+            yield PairOutcome(math.nan, math.nan, math.nan, reason=str(error))
             continue
         metres, degrees = errors_of(result.T_target_source, pair.T_target_source)
-        yield Outcome(metres, degrees, result.seconds, result.iterations, result.converged)
+        yield PairOutcome(metres, degrees, result.seconds, result.iterations, result.converged)
 
 
-def disturbed(pair: Pair, metres: float, degrees: float, random: np.random.Generator) -> Array:
+def disturbed(pair: KnownPair, metres: float, degrees: float, random: np.random.Generator) -> Array:
     """The true motion with an error of this size: translation and (in space) the axis of rotation
     in a random direction, rotation to a random side."""
     planar = pair.source.planar

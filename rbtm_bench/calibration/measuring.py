@@ -70,7 +70,7 @@ class _Kept:
         self.bytes = 0.0
 
     def open(self, data: Node, plugin: Node) -> None:
-        """Build what is not there yet."""
+        """Build data set and plug-in, unless they are the ones kept."""
         from rbtm_bench.runs import experiment
 
         data_key = node_key(data)
@@ -78,12 +78,12 @@ class _Kept:
         if key == self.key:
             return
         if not self.key.startswith(data_key):
-            self.key = ""  # whatever fails from here on, nothing of before stands for it
+            self.key = ""  # if anything below fails, nothing of before stands for it
             self.dataset = experiment.build(data)
         self.plugin, self.items, self.bytes, self.key = experiment.build(plugin), {}, 0.0, key
 
     def item(self, scan: int, make: Callable[[Scan], Any]) -> Any:
-        """What ``make`` makes of a scan, made once as long as there is room."""
+        """What ``make`` makes of a scan, made once as long as memory lasts."""
         if scan not in self.items:
             read = self.dataset[scan].without_truth()
             self.items[scan] = make(read)
@@ -102,7 +102,7 @@ _kept = _Kept()
 
 def register_chunk(data: Node, backend: Node, tasks: Sequence[Task]) -> list[Row]:
     """The outcome of every task: error_m, error_deg (NaN where it failed, with a reason), and what
-    the registration said of itself."""
+    the registration reports of itself."""
     _kept.open(data, backend)
     return [_registered(task) for task in tasks]
 
@@ -114,10 +114,10 @@ def _registered(task: Task) -> Row:
     plugin: Backend = _kept.plugin
 
     def prepared(scan: int) -> Prepared:
-        found: Prepared | BackendError = _kept.item(scan, lambda s: _prepare(plugin, s))
-        if isinstance(found, BackendError):
-            raise BackendError(str(found))
-        return found
+        item: Prepared | BackendError = _kept.item(scan, lambda s: _prepare(plugin, s))
+        if isinstance(item, BackendError):
+            raise BackendError(str(item))
+        return item
 
     def register(target: int, source: int, guess: Array) -> RegistrationResult:
         return judge.register(plugin, prepared(source), prepared(target), guess)
@@ -127,8 +127,9 @@ def _registered(task: Task) -> Row:
     try:
         if task.truth is None:
             starts = _disturbed_starts(task, bool(_kept.dataset.planar))
-            said = contradiction(task.target, task.source, task.middle, starts, register)
-            result, metres, degrees = said
+            result, metres, degrees = contradiction(
+                task.target, task.source, task.middle, starts, register
+            )
         else:
             result = register(task.target, task.source, task.guess)
             metres, degrees = errors_of(result.T_target_source, task.truth)
@@ -180,13 +181,13 @@ def score_chunk(
     _kept.open(data, similarity)
     plugin: Similarity = _kept.plugin
     plugin.check(_kept.dataset)
-    found = []
+    window_scores = []
     for source, targets, motions in sources:
         window = np.stack([_kept.item(i, plugin.describe) for i in targets])
         descriptor: Descriptor = _kept.item(source, plugin.describe)
         scores = plugin.scores_under(window, descriptor, motions)
-        found.append(np.asarray(scores, np.float64))
-    return found
+        window_scores.append(np.asarray(scores, np.float64))
+    return window_scores
 
 
 def cost_of(data: Node, similarity: Node) -> tuple[float, float]:
@@ -226,7 +227,7 @@ def in_parallel(
 ) -> list[Any]:
     """What the calls return, in their order; a dead child's call gives its ``ChildError``.
 
-    ``done`` is told the number of each call that is over. Every other error is raised: all
+    ``done`` gets the number of each call that is over. Every other error is raised: all
     children are then killed.
     """
     import queue
@@ -245,19 +246,19 @@ def in_parallel(
         finally:
             idle.put(supervisor)
 
-    found: list[Any] = [None] * len(calls)
+    results: list[Any] = [None] * len(calls)
     with ThreadPoolExecutor(len(crew)) as threads:
         try:
             for future in as_completed([threads.submit(work, n) for n in range(len(calls))]):
                 number, answer = future.result()
-                found[number] = answer
+                results[number] = answer
                 done(number)
         except BaseException:
             threads.shutdown(wait=False, cancel_futures=True)
             for supervisor in crew:
                 supervisor.kill()
             raise
-    return found
+    return results
 
 
 def register(
@@ -269,7 +270,7 @@ def register(
     pin: bool,
     done: Callable[[int], None],
 ) -> pd.DataFrame:
-    """The outcome of every pair of the sample (K rows, in its order); ``done`` is told pairs."""
+    """The outcome of every pair of the sample (K rows, in its order); ``done`` counts pairs."""
     import pandas as pd
 
     rows = sample.rows
@@ -292,14 +293,16 @@ def register(
     chunks = [tasks[i : i + CHUNK] for i in range(0, len(tasks), CHUNK)]
     calls: list[Call] = [(register_chunk, (data, backend, chunk)) for chunk in chunks]
     answers = in_parallel(crew, calls, pin, lambda n: done(len(chunks[n])))
-    found: list[Row] = []
+    outcomes: list[Row] = []
     for chunk, answer in zip(chunks, answers, strict=True):
         if isinstance(answer, ChildError):
             single: list[Call] = [(register_chunk, (data, backend, [task])) for task in chunk]
             again = in_parallel(crew, single, pin, lambda n: None)
             answer = [_row_of(a, task) for a, task in zip(again, chunk, strict=True)]
-        found += answer
-    return pd.DataFrame(found).sort_values("number").drop(columns="number").reset_index(drop=True)
+        outcomes += answer
+    return (
+        pd.DataFrame(outcomes).sort_values("number").drop(columns="number").reset_index(drop=True)
+    )
 
 
 def _row_of(answer: Any, task: Task) -> Row:
@@ -324,7 +327,7 @@ def score(
     done: Callable[[int], None],
 ) -> Array:
     """The scores (K,) of pairs, NaN where undefined: of one source all targets in one window."""
-    found = np.full(len(target), np.nan)
+    pair_scores = np.full(len(target), np.nan)
     order = np.lexsort((target, source))
     places = [p for p in np.split(order, np.flatnonzero(np.diff(source[order])) + 1) if len(p)]
     size = max(1, 8 * CHUNK // max(1, len(order) // max(1, len(places))))
@@ -338,8 +341,8 @@ def score(
         if isinstance(answer, ChildError):
             raise RunError(f"a similarity killed its process: {answer}")
         for places_of_window, scores in zip(chunk, answer, strict=True):
-            found[places_of_window] = scores
-    return found
+            pair_scores[places_of_window] = scores
+    return pair_scores
 
 
 def check_similarity(data: Node, similarity: Node) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench.calibration.plan import Plan
+from rbtm_bench.calibration.plan import CalibrationPlan
 from rbtm_bench.core.types import Array
 from rbtm_bench.report import intervals
 
@@ -20,7 +20,7 @@ BLOCKS = 8
 """A part of at least so many blocks: of a shorter log they are shorter."""
 
 
-def parts_of(stamps: Array, known: NDArray[np.bool_], plan: Plan) -> Index:
+def parts_of(stamps: Array, known: NDArray[np.bool_], plan: CalibrationPlan) -> Index:
     """The part (N,) of every scan: 0 calibration, 1 reported, -1 without a known pose.
 
     "time": the first half of the known scans in time, and the second. "blocks": alternately, a
@@ -39,12 +39,12 @@ def parts_of(stamps: Array, known: NDArray[np.bool_], plan: Plan) -> Index:
 
 def stretches(part: Index, stamps: Array) -> Index:
     """The number (N,) of the stretch of one part that every scan lies in, in the order of time; 0
-    for scans of no part. With a cut in time there are two."""
-    found = np.zeros(len(part), np.intp)
+    for scans of no part. A cut in time makes two."""
+    number = np.zeros(len(part), np.intp)
     inside = np.flatnonzero(part >= 0)
     inside = inside[np.argsort(stamps[inside], kind="stable")]
-    found[inside[1:]] = np.cumsum(np.diff(part[inside]) != 0)
-    return found
+    number[inside[1:]] = np.cumsum(np.diff(part[inside]) != 0)
+    return number
 
 
 def evenly(count: int, at_most: int) -> Index:

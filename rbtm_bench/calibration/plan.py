@@ -19,7 +19,7 @@ fall into."""
 
 
 @dataclass(frozen=True)
-class Plan:
+class CalibrationPlan:
     """The options of a calibration, checked.
 
     ``gaps`` in scans (None: ``GAPS`` as far as they go); ``pairs`` a gap, of both parts together;

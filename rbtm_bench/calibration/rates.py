@@ -39,7 +39,7 @@ class Rate:
 def rate(success: ArrayLike, clusters: ArrayLike, weights: ArrayLike | None = None) -> Rate:
     """The (weighted) share of successes (K,), with Wilson's interval (1927) at the effective number
     of pairs (Korn and Graubard 1998): the number of independent ones that would vary as much as the
-    blocks do, never more than there are, and at most the number of blocks where all pairs agree.
+    blocks do, never more than all, and at most the number of blocks where all pairs agree.
 
     NaN and [0, 1] for no pairs.
     """
@@ -76,19 +76,19 @@ def wilson(p: float, n: float, z: float | None = None) -> tuple[float, float]:
 def bins_of(scores: Array, count: int = BINS) -> Iterator[tuple[float, float, NDArray[np.intp]]]:
     """At most ``count`` bins (low, high, members) of equally many defined scores, ends included;
     equal scores stay together. Fewer bins where they would hold fewer than five."""
-    there = np.flatnonzero(np.isfinite(scores))
-    count = max(1, min(count, len(there) // 5))
+    known = np.flatnonzero(np.isfinite(scores))
+    count = max(1, min(count, len(known) // 5))
     edges: Any = (
-        np.unique(np.quantile(scores[there], np.linspace(0, 1, count + 1))) if len(there) else []
+        np.unique(np.quantile(scores[known], np.linspace(0, 1, count + 1))) if len(known) else []
     )
     if len(edges) == 1:
-        yield float(edges[0]), float(edges[0]), there
+        yield float(edges[0]), float(edges[0]), known
     for k in range(len(edges) - 1):
-        above = scores[there] >= edges[k]
+        above = scores[known] >= edges[k]
         below = (
-            scores[there] <= edges[k + 1] if k == len(edges) - 2 else scores[there] < edges[k + 1]
+            scores[known] <= edges[k + 1] if k == len(edges) - 2 else scores[known] < edges[k + 1]
         )
-        members = there[above & below]
+        members = known[above & below]
         if len(members):
             yield float(edges[k]), float(edges[k + 1]), members
 

@@ -55,9 +55,9 @@ def known_motions(track: Track, relations: Relations, chain: int) -> Known:
     local = np.abs(track.stamps[j] - track.stamps[i]) <= LOCAL_S
     order = np.lexsort((j, i))
     i, j, T, local = i[order], j[order], T[order], local[order]
-    found = [(i, j, T, np.ones(len(i), np.intp))]
-    found += _chained(i[local], j[local], T[local], chain)
-    target, source, motion, links = (np.concatenate(part) for part in zip(*found, strict=True))
+    chains = [(i, j, T, np.ones(len(i), np.intp))]
+    chains += _chained(i[local], j[local], T[local], chain)
+    target, source, motion, links = (np.concatenate(part) for part in zip(*chains, strict=True))
     near = np.abs(track.stamps[source] - track.stamps[target]) <= LOCAL_S
     first = links == 1
     keep = near | first  # a chain that lasts longer than a local relation is dropped
@@ -67,9 +67,9 @@ def known_motions(track: Track, relations: Relations, chain: int) -> Known:
 def _chained(i: Index, j: Index, T: Array, chain: int) -> list[tuple[Index, Index, Array, Index]]:
     """Products of 2 ... ``chain`` relations in a row; of several that start at one scan the
     first goes on."""
-    found: list[tuple[Index, Index, Array, Index]] = []
+    chains: list[tuple[Index, Index, Array, Index]] = []
     if len(i) == 0:
-        return found
+        return chains
     starts, first = np.unique(i, return_index=True)
     end, motion, start = j, T, i
     for links in range(2, chain + 1):
@@ -78,5 +78,5 @@ def _chained(i: Index, j: Index, T: Array, chain: int) -> list[tuple[Index, Inde
         goes_on = starts[place] == end
         follows = first[place[goes_on]]
         start, motion, end = start[goes_on], motion[goes_on] @ T[follows], j[follows]
-        found.append((start, end, motion, np.full(len(start), links, np.intp)))
-    return found
+        chains.append((start, end, motion, np.full(len(start), links, np.intp)))
+    return chains

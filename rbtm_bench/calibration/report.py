@@ -1,4 +1,4 @@
-"""What a calibration found, in plain words."""
+"""The results of a calibration, in plain words."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rbtm_bench.calibration import guesses
 from rbtm_bench.calibration.advice import Advice, Promise
 from rbtm_bench.calibration.analysis import ALL, EQUAL, PREDICTORS, Measured
 from rbtm_bench.calibration.parts import PARTS
-from rbtm_bench.calibration.plan import Plan
+from rbtm_bench.calibration.plan import CalibrationPlan
 from rbtm_bench.calibration.rates import Rate, rate
 from rbtm_bench.calibration.sampling import (
     CONSISTENCY_ERROR,
@@ -46,7 +46,7 @@ def text(
     measured: Measured,
     samples: Sequence[Sample],
     findings: Findings,
-    plan: Plan,
+    plan: CalibrationPlan,
     data: Sequence[str],
 ) -> str:
     """The whole report."""
@@ -55,28 +55,28 @@ def text(
         _success(measured),
         *(_areas(measured, findings, kind) for kind in (GAP, REVISIT)),
         _knees(findings),
-        _advice(findings, plan, samples[0].told["guess"]),
+        _advice(findings, plan, samples[0].conditions["guess"]),
         _notes(measured, samples, findings, plan),
     ]
     return "\n\n".join("\n".join(lines) for lines in parts if lines)
 
 
 def _pairs(
-    measured: Measured, samples: Sequence[Sample], plan: Plan, data: Sequence[str]
+    measured: Measured, samples: Sequence[Sample], plan: CalibrationPlan, data: Sequence[str]
 ) -> list[str]:
-    told = samples[0].told
+    conditions = samples[0].conditions
     metres, degrees = plan.within
     lines = [f"Pairs of {', '.join(data)}"]
-    truth = TRUTH[told["truth"]]
-    if told["truth"] == "relations":
+    truth = TRUTH[conditions["truth"]]
+    if conditions["truth"] == "relations":
         truth += f", up to {plan.chain} in a row as one"
     lines.append(f"  truth      {truth}")
     lines.append(
         f"  success    the registration ends within {metres:g} m and {degrees:g} deg of it"
     )
-    guess = guesses.TOLD[told["guess"]]
-    if told["disturbed"]:
-        guess += f", disturbed by {told['disturbed']} in a random direction"
+    guess = guesses.DESCRIPTIONS[conditions["guess"]]
+    if conditions["disturbed"]:
+        guess += f", disturbed by {conditions['disturbed']} in a random direction"
     lines.append(f"  guess      {guess}")
     halves = "first and second half in time"
     if plan.split == "blocks":
@@ -89,7 +89,7 @@ def _pairs(
     )
     across = measured.pairs[measured.pairs["kind"] == GAP]
     gaps = across.groupby("group").size()
-    if told["truth"] == "relations":
+    if conditions["truth"] == "relations":
         ends = [0, *gaps.index]
         words = [
             f"{b}: {n}" if b - a == 1 else f"{a + 1}-{b}: {n}"
@@ -99,22 +99,22 @@ def _pairs(
         words = [f"{gap}: {n}" for gap, n in gaps.items()]
     lines.append("  gaps       " + ", ".join(words) + " pairs (scans back: pairs of both parts)")
     if (measured.pairs["kind"] == REVISIT).any():
-        lines.append(_revisits(told["truth"], plan))
+        lines.append(_revisits(conditions["truth"], plan))
     blocks = measured.pairs.loc[measured.pairs["kind"] == GAP, "cluster"].nunique()
     lines.append(
-        f"  intervals  95%, from {blocks} blocks of {told['block_s']} s: neighbouring pairs are "
-        "not independent"
+        f"  intervals  95%, from {blocks} blocks of {conditions['block_s']} s: neighbouring pairs "
+        "are not independent"
     )
     return lines
 
 
-def _before(ends: Sequence[int], plan: Plan) -> list[int]:
-    """The end of the group before each of the groups that are there."""
+def _before(ends: Sequence[int], plan: CalibrationPlan) -> list[int]:
+    """The end of the group before each of the groups that have pairs."""
     every = [0, *plan.model_gaps]
     return [every[every.index(int(end)) - 1] for end in ends[1:]]
 
 
-def _revisits(truth: str, plan: Plan) -> str:
+def _revisits(truth: str, plan: CalibrationPlan) -> str:
     metres, degrees = plan.revisit_error
     what = f"scans at most {REVISIT_M:g} m apart after at least {REVISIT_TRAVELLED_M:g} m of path"
     if truth == "relations":
@@ -134,11 +134,11 @@ def _success(measured: Measured) -> list[str]:
         clusters = measured.pairs["cluster"].to_numpy()[inside]
         for name, outcome in measured.outcomes.items():
             rows = outcome[inside]
-            found = rate(rows["success"], clusters)
+            success = rate(rows["success"], clusters)
             failed = int(rows["error_m"].isna().sum())
             lines.append(
                 f"  {name:<28} {'revisits' if kind == REVISIT else 'across gaps':<12} "
-                f"{_share(found)} of {found.n}; {_errors(rows)}"
+                f"{_share(success)} of {success.n}; {_errors(rows)}"
                 + (f"; {failed} failed" if failed else "")
             )
     return lines
@@ -183,12 +183,12 @@ def _areas(measured: Measured, findings: Findings, kind: str) -> list[str]:
 def _in_words(measured: Measured, findings: Findings) -> Iterator[str]:
     """What the areas at equal gap mean, a line a similarity."""
     for name in measured.scores:
-        said: dict[str, list[str]] = {}
+        by_verdict: dict[str, list[str]] = {}
         for backend in measured.outcomes:
             row = one_area(findings.roc, backend, name, EQUAL)
-            said.setdefault(_verdict(row), []).append(backend)
-        for verdict, backends in said.items():
-            who = "" if len(said) == 1 else f" ({', '.join(backends)})"
+            by_verdict.setdefault(_verdict(row), []).append(backend)
+        for verdict, backends in by_verdict.items():
+            who = "" if len(by_verdict) == 1 else f" ({', '.join(backends)})"
             yield f"  At equal gap {name} {verdict}{who}."
 
 
@@ -218,25 +218,25 @@ def _of_area(row: Mapping[str, Any], key: str = "auc", sign: bool = False) -> st
 
 def _knees(findings: Findings) -> list[str]:
     lines = ["Is there a similarity below which errors rise abruptly? (the paper's knee)"]
-    for (backend, similarity), found in findings.knees.items():
+    for (backend, similarity), knee in findings.knees.items():
         between = (
-            f" [{found.low:.2f}, {found.high:.2f}]" if found.found and found.low is not None else ""
+            f" [{knee.low:.2f}, {knee.high:.2f}]" if knee.present and knee.low is not None else ""
         )
         lines.append(
-            f"  {backend}, {similarity}: {found.why}{between and f'; at 95%: {between.strip()}'}"
+            f"  {backend}, {similarity}: {knee.why}{between and f'; at 95%: {between.strip()}'}"
         )
     return lines
 
 
-def _advice(findings: Findings, plan: Plan, guess: str) -> list[str]:
+def _advice(findings: Findings, plan: CalibrationPlan, guess: str) -> list[str]:
     lines = [
         f"Threshold and window for {plan.success:.0%} success, less one standard error: chosen on "
         "the calibration part to reach back farthest;",
         "and what they do on the reported part",
     ]
-    for (backend, similarity), found in findings.advices.items():
-        lines.append(f"  {backend}, {similarity}: {_setting(found)}")
-        lines += [f"      {line}" for line in _of_advice(found)]
+    for (backend, similarity), advice in findings.advices.items():
+        lines.append(f"  {backend}, {similarity}: {_setting(advice)}")
+        lines += [f"      {line}" for line in _of_advice(advice)]
     if findings.best is not None:
         backend, similarity = findings.best
         best = findings.advices[findings.best]
@@ -249,37 +249,37 @@ def _advice(findings: Findings, plan: Plan, guess: str) -> list[str]:
 
 def backend_words(backend: str, similarity: str) -> str:
     """The labels as words for a command line: a label is a name, then the settings that differ."""
-    found = []
+    words = []
     for group, label in (("backend", backend), ("similarity", similarity)):
         name, *settings = label.split(" ")
-        found += [f"{group}={name}", *(f"{group}.{word}" for word in settings)]
-    return " ".join(found)
+        words += [f"{group}={name}", *(f"{group}.{word}" for word in settings)]
+    return " ".join(words)
 
 
-def _setting(found: Advice) -> str:
-    if found.chosen is None:
-        return found.why
-    words = f"selector.threshold={found.chosen.threshold:g} selector.window={found.chosen.window}"
-    return words if found.reached else f"{words}, but {found.why}"
+def _setting(advice: Advice) -> str:
+    if advice.chosen is None:
+        return advice.why
+    words = f"selector.threshold={advice.chosen.threshold:g} selector.window={advice.chosen.window}"
+    return words if advice.reached else f"{words}, but {advice.why}"
 
 
-def _of_advice(found: Advice) -> Iterator[str]:
-    if found.chosen is None or found.reported is None:
+def _of_advice(advice: Advice) -> Iterator[str]:
+    if advice.chosen is None or advice.reported is None:
         return
-    alone = "; all pass the threshold, the window alone decides" if found.chosen.all_pass else ""
-    yield f"calibration {_of_promise(found.chosen)}{alone}"
+    alone = "; all pass the threshold, the window alone decides" if advice.chosen.all_pass else ""
+    yield f"calibration {_of_promise(advice.chosen)}{alone}"
     smallest = ""
-    if found.previous is not None and found.previous.n:
-        smallest = f"; the smallest gap alone: {_share(found.previous)}"
-    yield f"reported    {_of_promise(found.reported)}{smallest}"
+    if advice.previous is not None and advice.previous.n:
+        smallest = f"; the smallest gap alone: {_share(advice.previous)}"
+    yield f"reported    {_of_promise(advice.reported)}{smallest}"
 
 
-def overrides(found: Advice) -> str:
+def overrides(advice: Advice) -> str:
     """The advice as words for a command line."""
-    assert found.chosen is not None
+    assert advice.chosen is not None
     return (
-        f"selector=rbtm selector.threshold={found.chosen.threshold:g} "
-        f"selector.window={found.chosen.window}"
+        f"selector=rbtm selector.threshold={advice.chosen.threshold:g} "
+        f"selector.window={advice.chosen.window}"
     )
 
 
@@ -290,14 +290,14 @@ def _of_promise(promise: Promise) -> str:
     return f"{_share(promise.success)} of {promise.pairs} pairs; {use}"
 
 
-def _share(found: Rate) -> str:
-    if found.n == 0:
+def _share(success: Rate) -> str:
+    if success.n == 0:
         return "no pairs"
-    return f"{found.value:.0%} [{found.low:.0%}, {found.high:.0%}]"
+    return f"{success.value:.0%} [{success.low:.0%}, {success.high:.0%}]"
 
 
 def _notes(
-    measured: Measured, samples: Sequence[Sample], findings: Findings, plan: Plan
+    measured: Measured, samples: Sequence[Sample], findings: Findings, plan: CalibrationPlan
 ) -> list[str]:
     lines = []
     if samples[0].truth is None:
@@ -330,6 +330,7 @@ def _notes(
                 f"{name}: {undefined} of {len(scores)} scores are undefined; they never pass a "
                 "threshold and count as the lowest in the areas."
             )
+    block_s = samples[0].conditions["block_s"]
     for part in PARTS:
         some = measured.pairs[inside & (measured.pairs["part"] == part).to_numpy()]
         blocks = some["cluster"].nunique()
@@ -337,9 +338,9 @@ def _notes(
             lines.append(
                 f"The {part} part has {blocks} independent blocks: no interval can be trusted."
             )
-        elif blocks < FEW_BLOCKS or float(samples[0].told["block_s"]) < 30:
+        elif blocks < FEW_BLOCKS or float(block_s) < 30:
             lines.append(
-                f"The {part} part is short ({blocks} blocks of {samples[0].told['block_s']} s): "
+                f"The {part} part is short ({blocks} blocks of {block_s} s): "
                 "intervals are rather too short."
             )
     return [f"Note: {line}" for line in dict.fromkeys(lines)]

@@ -91,11 +91,11 @@ def resampled(blocks: int, resamples: int = RESAMPLES) -> Array:
 
 def percentiles(drawn: Array) -> tuple[float | None, float | None]:
     """The percentile interval of resamples; None where fewer than nine of ten have a value."""
-    there = drawn[np.isfinite(drawn)]
-    if len(there) < 0.9 * len(drawn) or len(there) == 0:
+    finite = drawn[np.isfinite(drawn)]
+    if len(finite) < 0.9 * len(drawn) or len(finite) == 0:
         return None, None
     tail = (1 - LEVEL) / 2
-    low, high = np.quantile(there, [tail, 1 - tail])
+    low, high = np.quantile(finite, [tail, 1 - tail])
     return float(low), float(high)
 
 

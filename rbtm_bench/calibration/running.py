@@ -12,7 +12,7 @@ import numpy as np
 from rbtm_bench.calibration import measuring
 from rbtm_bench.calibration.analysis import Measured, successes
 from rbtm_bench.calibration.measuring import Node
-from rbtm_bench.calibration.plan import Plan
+from rbtm_bench.calibration.plan import CalibrationPlan
 from rbtm_bench.calibration.sampling import GAP, Sample, draw
 from rbtm_bench.calibration.track import Track, track_of
 from rbtm_bench.core.errors import ConfigError
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from rbtm_bench.runs.grid import Point
 
 Progress = Callable[[int, int, str], None]
-"""Called with what is done, what there is in all, and a word on what is being done."""
+"""Called with what is done, what is to be done in all, and a word on what is being done."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +55,12 @@ def asked_of(points: Sequence[Point]) -> Asked:
             node = point.settings.config[group]
             nodes[group].setdefault(_key(node), (point.settings.choices[group], node))
     triples = {tuple(_key(p.settings.config[g]) for g in groups) for p in points}
-    if len(triples) != np.prod([len(found) for found in nodes.values()]):
+    if len(triples) != np.prod([len(by_key) for by_key in nodes.values()]):
         raise ConfigError(
             "a calibration takes the same backends and similarities, with the same settings, for "
             "every data set: calibrate one kind of data set at a time"
         )
-    labels = {group: _labelled(list(found.values())) for group, found in nodes.items()}
+    labels = {group: _labelled(list(by_key.values())) for group, by_key in nodes.items()}
     choices = {
         label: name
         for group in groups[1:]
@@ -73,18 +73,18 @@ def _key(node: Any) -> str:
     return json.dumps(node, sort_keys=True, default=str)
 
 
-def _labelled(found: Sequence[tuple[str, Node]]) -> dict[str, Node]:
+def _labelled(named: Sequence[tuple[str, Node]]) -> dict[str, Node]:
     """The nodes by name, and by the settings in which those of one name differ."""
     out: dict[str, Node] = {}
-    for name, node in found:
-        alike = [other for n, other in found if n == name]
+    for name, node in named:
+        alike = [other for n, other in named if n == name]
         keys = [k for k in node if len({_key(other.get(k)) for other in alike}) > 1]
         out[" ".join([name, *(f"{k}={shown(node[k])}" for k in keys)])] = node
     return out
 
 
 def measure(
-    asked: Asked, plan: Plan, crew: Sequence[Supervisor], pin: bool, progress: Progress
+    asked: Asked, plan: CalibrationPlan, crew: Sequence[Supervisor], pin: bool, progress: Progress
 ) -> tuple[Measured, list[Sample]]:
     """Draw the pairs of every data set, score and register them. The crew must be idle."""
     for node in asked.data.values():
@@ -110,20 +110,20 @@ def measure(
     return (
         Measured(
             pairs,
-            {name: _judged(found, plan) for name, found in outcomes.items()},
-            {name: np.concatenate(found) for name, found in scores.items()},
+            {name: _judged(tables, plan) for name, tables in outcomes.items()},
+            {name: np.concatenate(parts) for name, parts in scores.items()},
             windows,
-            {name: np.concatenate(found) for name, found in offered.items()},
+            {name: np.concatenate(parts) for name, parts in offered.items()},
             costs,
         ),
         samples,
     )
 
 
-def _judged(found: Sequence[pd.DataFrame], plan: Plan) -> pd.DataFrame:
+def _judged(tables: Sequence[pd.DataFrame], plan: CalibrationPlan) -> pd.DataFrame:
     import pandas as pd
 
-    outcome = pd.concat(found, ignore_index=True)
+    outcome = pd.concat(tables, ignore_index=True)
     return outcome.assign(success=successes(outcome, plan.within))
 
 
@@ -158,7 +158,7 @@ class _Work:
 
 def _same(sample: Sample) -> bool:
     """True if the windows offer nothing but the sampled pairs."""
-    return sample.told["truth"] != "relations"
+    return sample.conditions["truth"] != "relations"
 
 
 def _scores(
@@ -171,14 +171,14 @@ def _scores(
 ) -> tuple[Array, Array]:
     """The scores of the pairs, and of what windows offer."""
     target, source = (sample.rows[c].to_numpy() for c in ("target", "source"))
-    found = measuring.score(crew, data, similarity, target, source, sample.guess, pin, done)
+    on_pairs = measuring.score(crew, data, similarity, target, source, sample.guess, pin, done)
     if _same(sample):
-        return found, found[(sample.rows["kind"] == GAP).to_numpy()]
+        return on_pairs, on_pairs[(sample.rows["kind"] == GAP).to_numpy()]
     target, source = (sample.windows[c].to_numpy() for c in ("target", "source"))
     windows = measuring.score(
         crew, data, similarity, target, source, sample.window_guess, pin, done
     )
-    return found, windows
+    return on_pairs, windows
 
 
 def _costs(asked: Asked, crew: Sequence[Supervisor], pin: bool) -> dict[str, tuple[float, float]]:

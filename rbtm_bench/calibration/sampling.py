@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rbtm_bench.calibration import guesses
 from rbtm_bench.calibration.parts import PARTS, clusters_of, evenly, parts_of, stretches
-from rbtm_bench.calibration.plan import Plan
+from rbtm_bench.calibration.plan import CalibrationPlan
 from rbtm_bench.calibration.reference import Known, known_motions
 from rbtm_bench.calibration.track import Track, travelled
 from rbtm_bench.core.errors import ConfigError, DataError
@@ -39,7 +39,7 @@ REVISIT_TRAVELLED_M = 10.0
 WINDOWS = 100
 """Scans a part whose windows are scored to see what a threshold would choose."""
 CONSISTENCY_ERROR = (0.2, 5.0)
-"""m, deg; of every guess of the stand-in, so that a method which keeps its guess is found out."""
+"""m, deg; of every guess of the stand-in, so that a method which keeps its guess fails the test."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ class Sample:
     between the two for the stand-in's loop, -1 for none, and ``over_middle`` (K, 2, 4, 4)
     the guesses to it and on from it.
     ``windows``: scans that a window offers (target, source, group, part), ``window_guess`` with
-    them. ``told``: how the pairs came about; ``counts``: how many there are and were left out.
+    them. ``conditions``: how the pairs came about; ``counts``: how many are in and were left out.
     """
 
     rows: pd.DataFrame
@@ -62,7 +62,7 @@ class Sample:
     over_middle: Array
     windows: pd.DataFrame
     window_guess: Array
-    told: Mapping[str, str]
+    conditions: Mapping[str, str]
     counts: Mapping[str, int]
 
 
@@ -98,7 +98,7 @@ class _Drawn:
         self.revisit.append(np.full(count, revisit))
 
 
-def draw(track: Track, plan: Plan) -> Sample:
+def draw(track: Track, plan: CalibrationPlan) -> Sample:
     """The sample of a data set. Raises ``DataError`` if it has no pair to offer, ``ConfigError``
     for a truth or guess that it cannot give."""
     truth = truth_of(track, plan)
@@ -118,16 +118,16 @@ def draw(track: Track, plan: Plan) -> Sample:
     return _sample(drawn, track, part, plan, truth, guess, counts)
 
 
-def truth_of(track: Track, plan: Plan) -> str:
+def truth_of(track: Track, plan: CalibrationPlan) -> str:
     """Where truth comes from: poses, relations or none."""
-    there = {"poses": track.truth is not None, "relations": bool(track.relations), "none": True}
+    known = {"poses": track.truth is not None, "relations": bool(track.relations), "none": True}
     if plan.truth == "auto":
-        return next(name for name, has in there.items() if has)
-    if not there[plan.truth]:
+        return next(name for name, has in known.items() if has)
+    if not known[plan.truth]:
         raise ConfigError(
             f"--truth {plan.truth}: this data set has "
             f"{'no true poses' if plan.truth == 'poses' else 'no relations'}; "
-            f"it has {', '.join(name for name, has in there.items() if has)}"
+            f"it has {', '.join(name for name, has in known.items() if has)}"
         )
     return plan.truth
 
@@ -137,7 +137,7 @@ def _across_gaps(
     track: Track,
     part: Index,
     known: NDArray[np.bool_],
-    plan: Plan,
+    plan: CalibrationPlan,
     counts: dict[str, int],
 ) -> None:
     """For scans spread over each part, the pairs with the scans that lie each of the gaps back:
@@ -163,7 +163,7 @@ def _anchors(part: Index, number: int, longest: int) -> Index:
     return last[inside[last + 1] - inside[last - longest] == longest + 1]
 
 
-def _gaps_that_fit(track: Track, part: Index, plan: Plan) -> tuple[int, ...]:
+def _gaps_that_fit(track: Track, part: Index, plan: CalibrationPlan) -> tuple[int, ...]:
     """The gaps asked for; or, of their own accord, those whose scans are mostly within reach of
     each other and that a part has enough scans for."""
     gaps = plan.model_gaps
@@ -191,7 +191,7 @@ def _gaps_that_fit(track: Track, part: Index, plan: Plan) -> tuple[int, ...]:
 
 
 def _over_revisits(
-    drawn: _Drawn, track: Track, part: Index, plan: Plan, counts: dict[str, int]
+    drawn: _Drawn, track: Track, part: Index, plan: CalibrationPlan, counts: dict[str, int]
 ) -> None:
     """Pairs of a part near in space and far apart along the path, one a scan, seeded."""
     from scipy.spatial import cKDTree
@@ -204,14 +204,14 @@ def _over_revisits(
             continue
         places = track.truth[scans, :3, 3]
         near = cKDTree(places).query_ball_point(places, REVISIT_M, return_sorted=True)
-        found = []
+        candidates = []
         for source, around in zip(scans, near, strict=True):
             before = scans[np.asarray(around, np.intp)]
             before = before[path[source] - path[before] >= REVISIT_TRAVELLED_M]
             before = before[before < source]
             if len(before):
-                found.append((int(random.choice(before)), int(source)))
-        pairs = np.array(found, np.intp).reshape(-1, 2)
+                candidates.append((int(random.choice(before)), int(source)))
+        pairs = np.array(candidates, np.intp).reshape(-1, 2)
         counts["revisits to choose from"] = counts.get("revisits to choose from", 0) + len(pairs)
         target, source = pairs[evenly(len(pairs), plan.revisits // 2)].T
         T = inverse(track.truth[target]) @ track.truth[source]
@@ -219,18 +219,22 @@ def _over_revisits(
 
 
 def _from_relations(
-    drawn: _Drawn, known: Known, track: Track, part: Index, plan: Plan, counts: dict[str, int]
+    drawn: _Drawn,
+    known: Known,
+    track: Track,
+    part: Index,
+    plan: CalibrationPlan,
+    counts: dict[str, int],
 ) -> None:
-    """The relations of each part: local ones by groups of gaps, as many of each as there are and
+    """The relations of each part: local ones by groups of gaps, of each as many as are known and
     may be; long ones as revisits."""
     edges = np.array(plan.model_gaps)
     gap = known.source - known.target
     group = np.append(edges, 0)[np.searchsorted(edges, gap)]
     far = translation_norm(known.T_target_source)
     near = [g for g in edges if np.any(group == g) and np.median(far[group == g]) <= track.reach]
-    stretch = stretches(
-        part, track.stamps
-    )  # a local relation may not span the other part's block either
+    # a local relation may not span the other part's block either
+    stretch = stretches(part, track.stamps)
     crosses = part[known.target] != part[known.source]
     crosses |= known.local & (stretch[known.target] != stretch[known.source])
     single = known.links == 1
@@ -265,7 +269,7 @@ def _sample(
     drawn: _Drawn,
     track: Track,
     part: Index,
-    plan: Plan,
+    plan: CalibrationPlan,
     truth: str,
     guess: guesses.GuessName,
     counts: dict[str, int],
@@ -291,7 +295,7 @@ def _sample(
         inside = (rows["part"] == name).to_numpy()
         counts[f"{name} pairs across gaps"] = int((inside & ~revisit).sum())
         counts[f"{name} revisits"] = int((inside & revisit).sum())
-    told = {
+    conditions = {
         "truth": truth,
         "guess": guess,
         "disturbed": "" if size == (0.0, 0.0) else f"{size[0]:g} m and {size[1]:g} deg",
@@ -305,14 +309,14 @@ def _sample(
         np.stack(over, axis=1),
         windows,
         window_guess,
-        told,
+        conditions,
         counts,
     )
 
 
 def _starts(
     track: Track,
-    plan: Plan,
+    plan: CalibrationPlan,
     guess: guesses.GuessName,
     size: tuple[float, float],
     target: Index,
@@ -320,8 +324,8 @@ def _starts(
     revisit: NDArray[np.bool_],
     T: Array,
 ) -> tuple[Array, Array]:
-    """Initial guesses (K, 4, 4), and the motions that are known beforehand: odometry's where there
-    is one, else the true ones. Of revisits both are the true motion with a stated error."""
+    """Initial guesses (K, 4, 4), and the motions that are known beforehand: odometry's if the
+    track has one, else the true ones. Of revisits both are the true motion with a stated error."""
     random = np.random.default_rng([plan.seed, 2])
     start = T.copy() if guess == "truth" else guesses.motions(guess, track, target, source)
     start = guesses.disturbed(start, *size, track.planar, random)
@@ -369,7 +373,7 @@ def _windows(
     part: Index,
     truth: str,
     guess: guesses.GuessName,
-    plan: Plan,
+    plan: CalibrationPlan,
 ) -> tuple[pd.DataFrame, Array]:
     """What windows offer: the sampled pairs themselves, or, where these are relations, for scans
     spread over each part one scan of every group of gaps."""
@@ -380,7 +384,7 @@ def _windows(
     if truth != "relations":
         return rows.loc[inside, columns].reset_index(drop=True), start[inside]
     gaps = rows[inside].groupby("group")["gap"].median().round().astype(int)
-    found = []
+    tables = []
     for number, name in enumerate(PARTS):
         if len(gaps) == 0:
             break
@@ -388,9 +392,9 @@ def _windows(
         anchors = anchors[evenly(len(anchors), WINDOWS)]
         for group, gap in gaps.items():
             pairs = {"target": anchors - gap, "source": anchors, "group": group, "part": name}
-            found.append(pd.DataFrame(pairs))
+            tables.append(pd.DataFrame(pairs))
     empty = pd.DataFrame({name: np.zeros(0, np.intp) for name in columns})
-    windows = pd.concat(found, ignore_index=True) if found else empty
+    windows = pd.concat(tables, ignore_index=True) if tables else empty
     target, source = (windows[c].to_numpy(np.intp) for c in ("target", "source"))
     how = guess if guess != "truth" else "identity" if track.odometry is None else "odometry"
     return windows, guesses.motions(how, track, target, source)

@@ -26,7 +26,7 @@ Key = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """Everything that is said of a calibration."""
+    """Everything that a calibration concludes."""
 
     roc: pd.DataFrame
     curves: pd.DataFrame
@@ -36,7 +36,7 @@ class Findings:
 
 
 def analyse(measured: Measured, wanted: float) -> Findings:
-    """All answers. Nothing here is random but the resampling of blocks, whose seed is fixed."""
+    """All answers. Nothing is random but the resampling of blocks, whose seed is fixed."""
     advices = analysis.advices(measured, wanted)
     return Findings(
         analysis.roc_rows(measured),
@@ -51,11 +51,11 @@ def pair_rows(measured: Measured) -> pd.DataFrame:
     """A row a pair and backend."""
     import pandas as pd
 
-    found = [
+    frames = [
         pd.concat([measured.pairs, outcome], axis=1).assign(backend=name)
         for name, outcome in measured.outcomes.items()
     ]
-    return pd.concat(found, ignore_index=True)
+    return pd.concat(frames, ignore_index=True)
 
 
 def score_rows(measured: Measured) -> pd.DataFrame:
@@ -63,11 +63,11 @@ def score_rows(measured: Measured) -> pd.DataFrame:
     import pandas as pd
 
     columns = ["data", "target", "source", "gap", "group", "kind", "part"]
-    found = [
+    frames = [
         measured.pairs[columns].assign(similarity=name, score=scores)
         for name, scores in measured.scores.items()
     ]
-    return pd.concat(found, ignore_index=True)
+    return pd.concat(frames, ignore_index=True)
 
 
 def summary(measured: Measured, findings: Findings) -> pd.DataFrame:
@@ -81,13 +81,13 @@ def _summary_row(key: Key, measured: Measured, findings: Findings) -> dict[str, 
     backend, similarity = key
     row: dict[str, Any] = {"backend": backend, "similarity": similarity}
     for how, short in ((ALL, "auc_all_gaps"), (EQUAL, "auc_equal_gap")):
-        found = one_area(findings.roc, backend, similarity, how)
-        row |= {f"{short}{end}": found.get(f"auc{end}") for end in ("", "_low", "_high")}
+        area = one_area(findings.roc, backend, similarity, how)
+        row |= {f"{short}{end}": area.get(f"auc{end}") for end in ("", "_low", "_high")}
     row["score_us"] = 1e6 * measured.costs.get(similarity, (np.nan, np.nan))[1]
     knee, advice = findings.knees[key], findings.advices[key]
-    row |= {"knee": knee.threshold if knee.found else None}
-    row |= {"knee_low": knee.low if knee.found else None}
-    row |= {"knee_high": knee.high if knee.found else None}
+    row |= {"knee": knee.threshold if knee.present else None}
+    row |= {"knee_low": knee.low if knee.present else None}
+    row |= {"knee_high": knee.high if knee.present else None}
     row |= {"wanted": advice.wanted, "reached": advice.reached}
     chosen, reported = advice.chosen, advice.reported
     row["threshold"] = chosen.threshold if chosen else None
@@ -108,7 +108,7 @@ def _summary_row(key: Key, measured: Measured, findings: Findings) -> dict[str, 
 def one_area(
     roc: pd.DataFrame, backend: str, predictor: str, how: str, part: str = "all", kind: str = GAP
 ) -> dict[str, Any]:
-    """One row of ``roc`` as a dictionary, empty if there is none."""
+    """One row of ``roc`` as a dictionary, empty without one."""
     rows = roc[
         (roc["backend"] == backend)
         & (roc["predictor"] == predictor)

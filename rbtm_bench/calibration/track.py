@@ -37,7 +37,7 @@ class Track:
 
     @property
     def path(self) -> Array | None:
-        """The poses that distances are told by: odometry, else the truth."""
+        """The poses that distances are taken from: odometry, else the truth."""
         return self.truth if self.odometry is None else self.odometry
 
     @property

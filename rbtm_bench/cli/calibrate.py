@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rbtm_bench.calibration.analysis import Measured
-    from rbtm_bench.calibration.plan import Plan
+    from rbtm_bench.calibration.plan import CalibrationPlan
     from rbtm_bench.calibration.running import Asked
     from rbtm_bench.calibration.sampling import Sample
     from rbtm_bench.calibration.tables import Findings
@@ -74,7 +74,11 @@ def calibrate(words: list[str]) -> int:
 
 
 def _measure(
-    points: Sequence[Point], asked: Asked, plan: Plan, crew: Sequence[Supervisor], out: Path
+    points: Sequence[Point],
+    asked: Asked,
+    plan: CalibrationPlan,
+    crew: Sequence[Supervisor],
+    out: Path,
 ) -> None:
     from rbtm_bench.calibration import report, running, tables
     from rbtm_bench.core.files import make_folder, write_text
@@ -111,7 +115,7 @@ def _without_guess(point: Point) -> Point:
 def _draw(
     measured: Measured,
     findings: Findings,
-    plan: Plan,
+    plan: CalibrationPlan,
     samples: Sequence[Sample],
     names: Sequence[str],
     out: Path,
@@ -147,7 +151,11 @@ def _data_names(points: Sequence[Point], asked: Asked) -> list[str]:
 
 
 def _write_record(
-    points: Sequence[Point], plan: Plan, samples: Sequence[Sample], findings: Findings, out: Path
+    points: Sequence[Point],
+    plan: CalibrationPlan,
+    samples: Sequence[Sample],
+    findings: Findings,
+    out: Path,
 ) -> None:
     """``calibration.json``: what was asked, how pairs came about, and where it was computed."""
     from dataclasses import asdict
@@ -160,7 +168,7 @@ def _write_record(
         record.pop(key, None)
     record["finished"] = provenance.now()
     record["plan"] = asdict(plan)
-    record["samples"] = [{**sample.told, **sample.counts} for sample in samples]
+    record["samples"] = [{**sample.conditions, **sample.counts} for sample in samples]
     record["points"] = [point.settings.config for point in points]
     record["best"] = findings.best
     write_json(out / "calibration.json", record)
@@ -203,12 +211,12 @@ def _folder(option: str | None, config: dict[str, Any]) -> Path:
     return Path(option or config["out"] or default_folder("calibrate"))
 
 
-def plan_of(options: argparse.Namespace) -> Plan:
+def plan_of(options: argparse.Namespace) -> CalibrationPlan:
     """The checked options."""
-    from rbtm_bench.calibration.plan import Plan
+    from rbtm_bench.calibration.plan import CalibrationPlan
 
     gaps = None if options.gaps is None else tuple(_numbers("--gaps", options.gaps, int))
-    return Plan(
+    return CalibrationPlan(
         gaps=gaps,
         pairs=options.pairs,
         revisits=options.revisits,

@@ -25,18 +25,18 @@ DARK = 50.0
 """Percentages below this are written in white."""
 
 
-def draw(found: Mapping[str, Shares], title: str) -> Figure:
+def draw(by_backend: Mapping[str, Shares], title: str) -> Figure:
     """A panel a backend, all over the same errors, in one grey scale."""
-    columns = min(COLUMNS, len(found))
-    rows = -(-len(found) // columns)
+    columns = min(COLUMNS, len(by_backend))
+    rows = -(-len(by_backend) // columns)
     size = (columns * PANEL[0] + ROOM[0], rows * PANEL[1] + ROOM[1])
     figure = Figure(figsize=size)
     axes = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     image = None
-    for ax, (name, shares) in zip(axes.flat, found.items(), strict=False):
+    for ax, (name, shares) in zip(axes.flat, by_backend.items(), strict=False):
         image = _panel(ax, shares)
         ax.set_title(style.plain(name))
-    for ax in list(axes.flat)[len(found) :]:
+    for ax in list(axes.flat)[len(by_backend) :]:
         ax.set_axis_off()
     figure.supxlabel("rotation error of the initial guess (deg)", fontsize=style.FONT)
     figure.supylabel("translation error of the initial guess (m)", fontsize=style.FONT)

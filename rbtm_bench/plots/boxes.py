@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from rbtm_bench.plots import groups, methods, style
-from rbtm_bench.plots.methods import Data
+from rbtm_bench.plots.methods import MethodErrors
 from rbtm_bench.runs.stored import Run
 
 LEAST = 4
@@ -59,42 +59,42 @@ def draw(runs: Sequence[Run]) -> Iterator[tuple[str, Figure]]:
         yield stem, figure
 
 
-def values(part: Data, backend: str, row: methods.Row) -> list[float]:
+def values(part: MethodErrors, backend: str, row: methods.Row) -> list[float]:
     """The errors of a method that are known."""
     return [value for value in part.cells.get((backend, row), []) if value is not None]
 
 
-def _same_n(part: Data) -> int | None:
+def _same_n(part: MethodErrors) -> int | None:
     """How many runs every method has, None if they differ or one has no result."""
-    found = {len(values(part, *place)) for place in part.cells}
-    found |= {len(runs) for runs in part.cells.values()}
-    return found.pop() if len(found) == 1 else None
+    counts = {len(values(part, *place)) for place in part.cells}
+    counts |= {len(runs) for runs in part.cells.values()}
+    return counts.pop() if len(counts) == 1 else None
 
 
-def _draw_panel(ax: Axes, part: Data, backend: str) -> None:
+def _draw_panel(ax: Axes, part: MethodErrors, backend: str) -> None:
     for height, row in enumerate(part.rows):
         ax.axhline(height, color="0.88", lw=0.5, zorder=0)
-        runs, found = part.cells.get((backend, row), []), values(part, backend, row)
-        if not found:
-            methods.remark(ax, height, "no result" if runs else "not run", found)
+        runs, errors = part.cells.get((backend, row), []), values(part, backend, row)
+        if not errors:
+            methods.remark(ax, height, "no result" if runs else "not run", errors)
             continue
-        if len(found) >= LEAST:
+        if len(errors) >= LEAST:
             ax.boxplot(
-                found, positions=[height], orientation="horizontal", widths=THICK, whis=(0, 100),
+                errors, positions=[height], orientation="horizontal", widths=THICK, whis=(0, 100),
                 manage_ticks=False, patch_artist=True, boxprops=BOX[row[1]], medianprops=MEDIAN,
                 whiskerprops=WHISKER, capprops=WHISKER, zorder=2,
             )  # fmt: skip
-        if len(found) < ALL:
-            beside = [height + APART[i % len(APART)] for i in range(len(found))]
-            ax.plot(sorted(found), beside, **RUN, zorder=3)
+        if len(errors) < ALL:
+            beside = [height + APART[i % len(APART)] for i in range(len(errors))]
+            ax.plot(sorted(errors), beside, **RUN, zorder=3)
         if _same_n(part) is None:
-            many = "" if len(found) == len(runs) else f" of {len(runs)}"
-            methods.remark(ax, height, f"n = {len(found)}{many}", found)
+            many = "" if len(errors) == len(runs) else f" of {len(runs)}"
+            methods.remark(ax, height, f"n = {len(errors)}{many}", errors)
     if part.guess is not None:
         ax.axvline(part.guess, **methods.GUESS, zorder=1)
 
 
-def _legend(part: Data) -> list[Any]:
+def _legend(part: MethodErrors) -> list[Any]:
     counts = [len(values(part, *place)) for place in part.cells]
     out: list[Any] = [
         Patch(**BOX[kind], label=f"quartiles, {'rbtm' if kind else 'control'}")

@@ -41,26 +41,26 @@ def figures(
 ) -> list[tuple[str, Figure]]:
     """Every figure with its file's stem. ``pairs``: a row a pair and backend, backends one after
     the other; ``scores`` (K,) by similarity, of the pairs; ``stand_in``: errors are no errors
-    against a truth, which is then said; ``data`` names the data in every title."""
-    found = []
+    against a truth, and called contradictions; ``data`` names the data in every title."""
+    drawn = []
     what = "contradiction" if stand_in else "error"
     for name, values in scores.items():
         some = curves[(curves["similarity"] == name)]
         if some.empty:
             continue
-        found.append((f"error-{name}", _errors(pairs, name, values, some, within, what)))
-        found.append((f"success-{name}", _success(name, some, within, what)))
+        drawn.append((f"error-{name}", _errors(pairs, name, values, some, within, what)))
+        drawn.append((f"success-{name}", _success(name, some, within, what)))
     for kind in KINDS:
         some = roc[(roc["pairs"] == kind) & (roc["part"] == "all")]
         if some["auc"].notna().any():
-            found.append((f"roc_areas-{kind}", _areas(some, kind, within, what)))
-    for _, figure in found:
-        said = figure.get_suptitle().replace("\n", " ")
+            drawn.append((f"roc_areas-{kind}", _areas(some, kind, within, what)))
+    for _, figure in drawn:
+        title = figure.get_suptitle().replace("\n", " ")
         width = figure.get_figwidth()
         figure.suptitle(
-            style.wrapped(f"{data}\n", width).strip() + "\n" + style.wrapped(said, width)
+            style.wrapped(f"{data}\n", width).strip() + "\n" + style.wrapped(title, width)
         )
-    return found
+    return drawn
 
 
 def _limit(within: tuple[float, float]) -> str:

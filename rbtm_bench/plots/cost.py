@@ -35,7 +35,7 @@ PARTIAL = 0.35
 
 
 @dataclass(frozen=True, eq=False)
-class Point:
+class CostPoint:
     """Medians over a method's runs: ``time`` ms a scan, ``error`` in the data set's unit.
     ``whole`` is False if a run failed, or has no error."""
 
@@ -48,10 +48,10 @@ class Point:
 
 def draw(data: Data) -> Iterator[Figure]:
     """The figure; nothing for fewer than two methods with an error and a time above zero."""
-    found = labels.main_error([run for run in data.runs if run.done])
-    if found is None:
+    main_error = labels.main_error([run for run in data.runs if run.done])
+    if main_error is None:
         return
-    key, unit, name = found
+    key, unit, name = main_error
     points = read(data, key)
     if len(points) < 2:
         return
@@ -91,7 +91,7 @@ def _title(data: Data, note: str) -> str:
 
 
 def _names(
-    ax: Axes, data: Data, points: Sequence[Point], best: Sequence[Point]
+    ax: Axes, data: Data, points: Sequence[CostPoint], best: Sequence[CostPoint]
 ) -> tuple[list[Label], str]:
     """What to write beside which points, and a note on it for the title."""
     if len(data.panels) <= LINKED and max(len(p.methods) for p in data.panels) <= FEW:
@@ -111,17 +111,17 @@ def _names(
     return [Label(text, ((p.time, p.error),)) for p, text in words.items()], note
 
 
-def _link(ax: Axes, points: Sequence[Point]) -> dict[str, tuple[tuple[float, float], ...]]:
+def _link(ax: Axes, points: Sequence[CostPoint]) -> dict[str, tuple[tuple[float, float], ...]]:
     """Join the points of a backend by a thin line; returns their places by backend."""
     places: dict[str, tuple[tuple[float, float], ...]] = {}
     for point in sorted(points, key=lambda p: p.error):
         places[point.backend] = (*places.get(point.backend, ()), (point.time, point.error))
-    for found in places.values():
-        ax.plot(*zip(*found, strict=True), **LINK, zorder=1)
+    for line in places.values():
+        ax.plot(*zip(*line, strict=True), **LINK, zorder=1)
     return places
 
 
-def read(data: Data, key: str) -> list[Point]:
+def read(data: Data, key: str) -> list[CostPoint]:
     """A point for every method that has both an error and a time above zero."""
     out = []
     for panel in data.panels:
@@ -131,20 +131,20 @@ def read(data: Data, key: str) -> list[Point]:
             if known:
                 time, error = np.median(known, axis=0)
                 whole = len(known) == len(both) and not method.failed
-                out.append(Point(panel.name, method.name, float(time), float(error), whole))
+                out.append(CostPoint(panel.name, method.name, float(time), float(error), whole))
     return [point for point in out if point.time > 0 and point.error > 0]
 
 
-def front(points: Sequence[Point]) -> list[Point]:
+def front(points: Sequence[CostPoint]) -> list[CostPoint]:
     """The methods that none beats in both, by time; those of which a run failed do not count."""
-    best: list[Point] = []
+    best: list[CostPoint] = []
     for point in sorted(points, key=lambda p: (p.time, p.error)):
         if point.whole and (not best or point.error < best[-1].error):
             best.append(point)
     return best
 
 
-def _draw_front(ax: Axes, best: Sequence[Point]) -> list[tuple[float, float]]:
+def _draw_front(ax: Axes, best: Sequence[CostPoint]) -> list[tuple[float, float]]:
     """A step line: until the time of its next point nothing better is to be had. Returns its
     corners."""
     if not best:
@@ -157,7 +157,7 @@ def _draw_front(ax: Axes, best: Sequence[Point]) -> list[tuple[float, float]]:
     return corners
 
 
-def _limits(ax: Axes, points: Sequence[Point]) -> float:
+def _limits(ax: Axes, points: Sequence[CostPoint]) -> float:
     """Give the axes room around the points and few, round numbers; returns the largest error
     that is still inside."""
     top = 0.0
@@ -187,11 +187,11 @@ def _by_selector(data: Data) -> dict[str, Look]:
     return {name: own[first[selector]] for name, selector in data.methods.items()}
 
 
-def _handles(data: Data, own: dict[str, Look], points: Sequence[Point]) -> list[Any]:
-    found = {selector: own[name].mark for name, selector in reversed(data.methods.items())}
+def _handles(data: Data, own: dict[str, Look], points: Sequence[CostPoint]) -> list[Any]:
+    marks = {selector: own[name].mark for name, selector in reversed(data.methods.items())}
     out = [
         panels.handle("whole system" if selector == "none" else selector, ls="", **mark)
-        for selector, mark in reversed(found.items())
+        for selector, mark in reversed(marks.items())
     ]
     out.append(panels.handle("Pareto front", **FRONT))
     if not all(point.whole for point in points):

@@ -1,4 +1,4 @@
-"""What figures need from a run folder, as arrays. A file that is not there is None."""
+"""What figures need from a run folder, as arrays. A missing file is None."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Paths:
 
 @dataclass(frozen=True, eq=False)
 class Steps:
-    """Columns of ``steps.parquet``, (N,) each; NaN where there is no model scan or score.
+    """Columns of ``steps.parquet``, (N,) each; NaN without a model scan or score.
     ``held`` is the smallest eigenvalue of the localizability."""
 
     scan: Array

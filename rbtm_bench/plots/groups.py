@@ -36,8 +36,8 @@ class Panel:
 @dataclass(frozen=True, eq=False)
 class Data:
     """One data set. ``stem`` begins its figures' file names; ``guess`` is the run of the lowest
-    seed without registration (backend "none"), None if there is none, or nothing else, or if they
-    started from different guesses."""
+    seed without registration (backend "none"), None without one or without anything else, or if
+    they started from different guesses."""
 
     stem: str
     name: str
@@ -52,12 +52,12 @@ class Data:
 
     @property
     def several(self) -> bool:
-        """Whether there is more than one method to compare."""
+        """Whether the panels hold two methods or more to compare."""
         return sum(len(panel.methods) for panel in self.panels) > 1
 
     def few(self) -> tuple[Data, str]:
-        """The same with so few methods that lines in a panel can be told apart, and a note for
-        the title: of more than 6, the first setting of every selector (not the best: that would
+        """The same with so few methods that lines in a panel stay distinct, and a note for the
+        title: of more than 6, the first setting of every selector (not the best: that would
         be chosen on this very data)."""
         if max(len(panel.methods) for panel in self.panels) <= FEW:
             return self, ""
@@ -86,8 +86,8 @@ def by_data(runs: Sequence[Run]) -> list[tuple[str, str, list[Run]]]:
     for group in groups.values():
         own, name = words[group[0]], labels.data_name(group[0])
         stem = file_name("-".join([labels.choice(group[0], "dataset"), *own]))
-        said = [word for word in own if f"({word.removeprefix('environment=')})" in name]
-        title = ", ".join([name, *(word for word in own if word not in said)])
+        in_name = [word for word in own if f"({word.removeprefix('environment=')})" in name]
+        title = ", ".join([name, *(word for word in own if word not in in_name)])
         out.append((unique(stem, [other for other, _, _ in out]), title, group))
     return out
 
@@ -131,8 +131,8 @@ def _panels(runs: list[Run]) -> list[Panel]:
         panels[panel].setdefault(names[run], []).append(run)
     out = []
     for panel, methods in panels.items():
-        found = [_method(name, members) for name, members in methods.items()]
-        out.append(Panel(panel, [method for method in found if method.runs]))
+        all_methods = [_method(name, members) for name, members in methods.items()]
+        out.append(Panel(panel, [method for method in all_methods if method.runs]))
     return [panel for panel in out if panel.methods]
 
 
@@ -149,7 +149,7 @@ def method_names(runs: Sequence[Run]) -> dict[Run, str]:
     for run in runs:
         place = (names[run], labels.key_of(run, ("backend",)))
         keys.setdefault(place, set()).add(run.method)
-    if all(len(found) == 1 for found in keys.values()):
+    if all(len(variants) == 1 for variants in keys.values()):
         return names
     words = frame.labels(runs)
     return {

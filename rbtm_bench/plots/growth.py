@@ -33,7 +33,7 @@ TRAVELLED = 1e-3
 """m; a truth that moved less is drawn over time."""
 BAND: dict[str, Any] = {"alpha": 0.16, "lw": 0}
 BANDS = 3
-"""Methods up to which bands can be told apart; of more, only the medians are drawn."""
+"""Methods up to which bands stay distinct; of more, only the medians are drawn."""
 MARKS = 6
 """Markers along a line."""
 
@@ -46,7 +46,7 @@ ALIGNED = {
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class ErrorCourse:
     """The errors of a method's runs. ``x`` (N,) m or s; ``errors`` (R, N) m, a row a seed."""
 
     x: Array
@@ -86,10 +86,10 @@ def draw(data: Data) -> Iterator[Figure]:
     def panel(ax: Axes, panel: Panel) -> None:
         if guess is not None:
             ax.plot(guess.x, per * guess.median, **GUESS, label="guess", zorder=1)
-        here = [m.name for m in panel.methods if (panel.name, m.name) in courses]
-        here.sort(key=lambda name: -courses[panel.name, name].variation)  # the restless below
-        for level, name in enumerate(here):
-            phase = level / len(here)
+        names = [m.name for m in panel.methods if (panel.name, m.name) in courses]
+        names.sort(key=lambda name: -courses[panel.name, name].variation)  # the restless below
+        for level, name in enumerate(names):
+            phase = level / len(names)
             _draw_course(ax, name, courses[panel.name, name], per, own[name], phase)
             if banded:
                 _draw_band(ax, courses[panel.name, name], per, own[name])
@@ -106,14 +106,16 @@ def draw(data: Data) -> Iterator[Figure]:
     yield from panels.pages(few.panels, COLUMNS, TALL, panel, title, handles)
 
 
-def _draw_course(ax: Axes, name: str, course: Course, per: float, look: Look, phase: float) -> None:
+def _draw_course(
+    ax: Axes, name: str, course: ErrorCourse, per: float, look: Look, phase: float
+) -> None:
     every = max(1, len(course.x) // MARKS)
     first = min(int(phase * every) + every // 2, len(course.x) - 1)
     mark = {**look.mark, "ms": 3.5, "mew": 0.8, "markevery": (first, every)}
     ax.plot(course.x, per * course.median, **look.line, **mark, label=name, zorder=3)
 
 
-def _draw_band(ax: Axes, course: Course, per: float, look: Look) -> None:
+def _draw_band(ax: Axes, course: ErrorCourse, per: float, look: Look) -> None:
     low, high = course.errors.min(axis=0), course.errors.max(axis=0)
     ax.fill_between(course.x, per * low, per * high, color=look.colour, **BAND, zorder=2)
 
@@ -128,32 +130,34 @@ def _scale(ax: Axes, highest: Sequence[float]) -> None:
 
 
 def _handles(own: dict[str, Look], band: bool, guess: bool) -> list[Any]:
-    found: list[Any] = [panels.handle(name, **look.line, **look.mark) for name, look in own.items()]
+    handles: list[Any] = [
+        panels.handle(name, **look.line, **look.mark) for name, look in own.items()
+    ]
     if band:
-        found.append(Patch(color=style.BLACK, **BAND, label="smallest to largest of the seeds"))
+        handles.append(Patch(color=style.BLACK, **BAND, label="smallest to largest of the seeds"))
     if guess:
-        found.append(panels.handle("the guess alone", **GUESS))
-    return found
+        handles.append(panels.handle("the guess alone", **GUESS))
+    return handles
 
 
-def _course(runs: Sequence[Run], align: str, moving: bool) -> Course | None:
+def _course(runs: Sequence[Run], align: str, moving: bool) -> ErrorCourse | None:
     """The errors of the runs that have a truth, over that of the first; runs whose truth has
     another length of path, or fewer scans, are left out."""
     x: Array | None = None
     rows = []
     for run in runs:
-        found = read_paths(run)
-        if found is None or found.truth is None:
+        paths = read_paths(run)
+        if paths is None or paths.truth is None:
             continue
         errors = Ape(cast(Literal["none", "origin", "umeyama"], align)).distances(
-            found.estimate, found.truth
+            paths.estimate, paths.truth
         )
-        own = _abscissa(found, moving)
+        own = _abscissa(paths, moving)
         if errors is None or (x is not None and (len(own) != len(x) or not np.allclose(own, x))):
             continue
         x = own
         rows.append(errors)
-    return None if x is None else Course(x, np.stack(rows))
+    return None if x is None else ErrorCourse(x, np.stack(rows))
 
 
 def _abscissa(paths: Paths, moving: bool) -> Array:
@@ -168,13 +172,15 @@ def _abscissa(paths: Paths, moving: bool) -> Array:
 def _moving(data: Data) -> bool:
     for panel in data.panels:
         for method in panel.methods:
-            found = read_paths(method.runs[0])
-            if found is not None and found.truth is not None:
-                return bool(_abscissa(found, moving=True)[-1] >= TRAVELLED)
+            paths = read_paths(method.runs[0])
+            if paths is not None and paths.truth is not None:
+                return bool(_abscissa(paths, moving=True)[-1] >= TRAVELLED)
     return True
 
 
 def _align(runs: Sequence[Run]) -> str:
     """How the runs' own APE was aligned: "origin" unless all say otherwise."""
-    found = {(labels.section(run, "metrics").get("ape") or {}).get("align") for run in runs}
-    return str(found.pop()) if len(found) == 1 and found <= set(ALIGNED) else "origin"
+    alignments = {(labels.section(run, "metrics").get("ape") or {}).get("align") for run in runs}
+    return (
+        str(alignments.pop()) if len(alignments) == 1 and alignments <= set(ALIGNED) else "origin"
+    )

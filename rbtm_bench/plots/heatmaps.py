@@ -17,7 +17,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.patheffects import Stroke
 
 from rbtm_bench.plots import labels, style
-from rbtm_bench.plots.studies import LOG_FROM, Cell, Panel, Study
+from rbtm_bench.plots.studies import LOG_FROM, Cell, SettingsStudy, StudyPanel
 
 WRITTEN = 12
 """Cells a side up to which their values are written into them."""
@@ -47,7 +47,7 @@ MISSING: dict[str, Any] = {"facecolor": "w", "edgecolor": "0.55", "hatch": "....
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class Layout:
     """What all panels of a study share. ``x`` and ``y`` are the settings' values."""
 
     x: list[float]
@@ -68,53 +68,55 @@ class Look:
         return (self.width - ROOM[0] + BETWEEN[0]) / self.columns - BETWEEN[0]
 
 
-def draw(study: Study) -> Iterator[Figure]:
+def draw(study: SettingsStudy) -> Iterator[Figure]:
     """The study's panels, all in one colour scale, over as many figures as fit a page each."""
-    look = _look(study)
-    titles = {p: style.wrapped(_words(p, study.unit), look.panel_width) for p in study.panels}
-    line = look.high + BETWEEN[1] + LINE * max(t.count("\n") - 1 for t in titles.values())
-    page = look.columns * max(1, int((style.TALLEST - ROOM[1]) / line))
+    layout = _layout(study)
+    titles = {p: style.wrapped(_words(p, study.unit), layout.panel_width) for p in study.panels}
+    line = layout.high + BETWEEN[1] + LINE * max(t.count("\n") - 1 for t in titles.values())
+    page = layout.columns * max(1, int((style.TALLEST - ROOM[1]) / line))
     for first in range(0, len(study.panels), page):
         panels = study.panels[first : first + page]
-        rows = -(-len(panels) // look.columns)
-        figure = Figure(figsize=(look.width, rows * line + ROOM[1]))
-        grid = figure.subplots(rows, look.columns, sharex=True, sharey=True, squeeze=False)
+        rows = -(-len(panels) // layout.columns)
+        figure = Figure(figsize=(layout.width, rows * line + ROOM[1]))
+        grid = figure.subplots(rows, layout.columns, sharex=True, sharey=True, squeeze=False)
         axes: list[Axes] = list(grid.ravel())
         for spare in axes[len(panels) :]:
             spare.remove()
         for number, (ax, panel) in enumerate(zip(axes, panels, strict=False)):
-            image = _draw_panel(ax, panel, look)
+            image = _draw_panel(ax, panel, layout)
             ax.set_title(style.plain(titles[panel]))
-            if number + look.columns >= len(panels):
+            if number + layout.columns >= len(panels):
                 ax.tick_params(labelbottom=True)
                 ax.set_xlabel(labels.axis(study.axes[0]))
-            if number % look.columns == 0:
+            if number % layout.columns == 0:
                 ax.set_ylabel(labels.axis(study.axes[1]))
         _colour_bar(figure, image, axes[: len(panels)], f"{study.error} ({study.unit})")
         part = f"{first // page + 1} of {-(-len(study.panels) // page)}"
         title = study.title if page >= len(study.panels) else f"{study.title} ({part})"
-        figure.suptitle(style.wrapped(title, look.width))
-        style.legend_below(figure, _legend(panels, look), 2 if look.width == style.SINGLE else 4)
+        figure.suptitle(style.wrapped(title, layout.width))
+        style.legend_below(
+            figure, _legend(panels, layout), 2 if layout.width == style.SINGLE else 4
+        )
         yield figure
 
 
-def _look(study: Study) -> Look:
+def _layout(study: SettingsStudy) -> Layout:
     x, y = study.values(0), study.values(1)
     written = max(len(x), len(y)) <= WRITTEN
     wide, high = PANEL[0], 1.5 * PANEL[1]
     if written:
         wide, high = max(wide, CELL[0] * len(x)), max(PANEL[1], CELL[1] * len(y))
     if len(study.panels) == 1 and wide + ROOM[0] <= style.SINGLE:
-        return Look(x, y, _norm(study.medians), 1, style.SINGLE, max(high, 1.6))
+        return Layout(x, y, _norm(study.medians), 1, style.SINGLE, max(high, 1.6))
     fit = int((style.DOUBLE - ROOM[0] + BETWEEN[0]) / (wide + BETWEEN[0]))
     columns = max(1, min(fit, len(study.panels), COLUMNS))
     columns = -(
         -len(study.panels) // -(-len(study.panels) // columns)
     )  # 4 panels: 2 x 2, not 3 + 1
-    return Look(x, y, _norm(study.medians), columns, style.DOUBLE, high)
+    return Layout(x, y, _norm(study.medians), columns, style.DOUBLE, high)
 
 
-def _words(panel: Panel, unit: str) -> str:
+def _words(panel: StudyPanel, unit: str) -> str:
     words = []
     if math.isfinite(panel.best):
         words.append(labels.unbroken(f"best {labels.quantity(panel.best, unit)}"))
@@ -132,8 +134,8 @@ def _norm(medians: list[float]) -> Normalize:
     return Normalize(low, high if high > low else low + (abs(low) or 1.0), clip=True)
 
 
-def _draw_panel(ax: Axes, panel: Panel, look: Look) -> AxesImage:
-    x, y = look.x, look.y
+def _draw_panel(ax: Axes, panel: StudyPanel, layout: Layout) -> AxesImage:
+    x, y = layout.x, layout.y
     medians = np.full((len(y), len(x)), np.nan)
     ax.add_patch(Rectangle((-0.5, -0.5), len(x), len(y), **MISSING, zorder=0))
     for (a, b), cell in panel.cells.items():
@@ -145,10 +147,10 @@ def _draw_panel(ax: Axes, panel: Panel, look: Look) -> AxesImage:
         elif cell.median == panel.best:
             _frame(ax, column, row)
     image = ax.imshow(
-        np.ma.masked_invalid(medians), norm=look.norm, cmap=COLOURS, aspect="auto",
+        np.ma.masked_invalid(medians), norm=layout.norm, cmap=COLOURS, aspect="auto",
         origin="lower", interpolation="nearest", zorder=2,
     )  # fmt: skip
-    if look.written:
+    if layout.written:
         rgb = image.to_rgba(np.nan_to_num(medians))[..., :3]
         light = rgb @ [0.299, 0.587, 0.114] > 0.5
         for (a, b), cell in panel.cells.items():
@@ -171,7 +173,7 @@ def _frame(ax: Axes, column: int, row: int) -> None:
 
 
 def _write(ax: Axes, column: int, row: int, cell: Cell, colour: str) -> None:
-    """The cell's value; a star says that it is the median of fewer runs than there were."""
+    """The cell's value; a star says that it is the median of a part of the runs."""
     if cell.known:
         text = short(cell.median) + ("*" if cell.known < cell.runs else "")
         ax.text(
@@ -198,14 +200,14 @@ def _colour_bar(figure: Figure, image: AxesImage, axes: list[Axes], label: str) 
     bar.minorticks_off()
 
 
-def _legend(panels: list[Panel], look: Look) -> list[Any]:
-    found = [cell for panel in panels for cell in panel.cells.values()]
+def _legend(panels: list[StudyPanel], layout: Layout) -> list[Any]:
+    cells = [cell for panel in panels for cell in panel.cells.values()]
     handles: list[Any] = [Patch(**BEST, label="best (on this data)")]
-    if any(not cell.known for cell in found):
+    if any(not cell.known for cell in cells):
         handles.append(Patch(**FAILED, label="failed"))
-    if any(len(panel.cells) < len(look.x) * len(look.y) for panel in panels):
+    if any(len(panel.cells) < len(layout.x) * len(layout.y) for panel in panels):
         handles.append(Patch(**MISSING, label="not run"))
-    if look.written and any(0 < cell.known < cell.runs for cell in found):
+    if layout.written and any(0 < cell.known < cell.runs for cell in cells):
         handles.append(
             Line2D([], [], ls="", marker="$*$", color="k", ms=4, label="some runs failed")
         )

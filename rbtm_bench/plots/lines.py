@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullLocator
 
 from rbtm_bench.plots import labels, style
-from rbtm_bench.plots.studies import LOG_FROM, Panel, Study
+from rbtm_bench.plots.studies import LOG_FROM, SettingsStudy, StudyPanel
 
 TICKS = 10
 """Tick labels along the setting's axis at most."""
@@ -28,7 +28,7 @@ CONTROL: dict[str, Any] = {"marker": "", "lw": 0.6, "zorder": 1}
 FAILED: dict[str, Any] = {"ls": "", "marker": "x", "ms": 5}
 
 
-def draw(study: Study) -> Figure:
+def draw(study: SettingsStudy) -> Figure:
     """Medians as lines, bars from the smallest to the largest error; the selector "previous"
     beside them as a thin line. Of many lines a panel holds six."""
     parts = [study.panels[i : i + len(LOOKS)] for i in range(0, len(study.panels), len(LOOKS))]
@@ -58,7 +58,7 @@ def draw(study: Study) -> Figure:
     return figure
 
 
-def _line(ax: Axes, panel: Panel, look: dict[str, Any]) -> None:
+def _line(ax: Axes, panel: StudyPanel, look: dict[str, Any]) -> None:
     x = sorted(place[0] for place in panel.cells)
     cells = [panel.cells[(value,)] for value in x]
     medians = [cell.median for cell in cells]
@@ -74,7 +74,7 @@ def _line(ax: Axes, panel: Panel, look: dict[str, Any]) -> None:
         ax.axhline(panel.control, **{**look, **CONTROL})
 
 
-def _remarks(panels: list[Panel]) -> list[Line2D]:
+def _remarks(panels: list[StudyPanel]) -> list[Line2D]:
     """What else is in a panel of these."""
     out = []
     if any(panel.control is not None for panel in panels):
@@ -84,7 +84,7 @@ def _remarks(panels: list[Panel]) -> list[Line2D]:
     return out
 
 
-def _scale(ax: Axes, study: Study) -> None:
+def _scale(ax: Axes, study: SettingsStudy) -> None:
     """Logarithmic where the numbers span more than 20 times."""
     values = study.values(0)
     if values[0] > 0 and values[-1] > LOG_FROM * values[0]:

@@ -14,7 +14,7 @@ from matplotlib.ticker import MultipleLocator
 from rbtm_bench.core.types import Array
 from rbtm_bench.plots import labels, style
 from rbtm_bench.plots.folder import Scene, read_scene
-from rbtm_bench.plots.pairs import Pair
+from rbtm_bench.plots.pairs import RunPair
 from rbtm_bench.runs.stored import Run
 
 Limits = tuple[float, float, float, float]
@@ -62,7 +62,7 @@ def single(run: Run) -> Figure | None:
     return figure
 
 
-def beside(pair: Pair) -> Figure | None:
+def beside(pair: RunPair) -> Figure | None:
     """The paper's Fig. 4: standard and RBTM in the same limits; None without their files."""
     scenes = [read_scene(run) for run in (pair.standard, pair.rbtm)]
     shown = [scene for scene in scenes if scene is not None]
@@ -88,7 +88,7 @@ def beside(pair: Pair) -> Figure | None:
     return figure
 
 
-def _panel_titles(pair: Pair) -> tuple[str, str]:
+def _panel_titles(pair: RunPair) -> tuple[str, str]:
     remarks = [f", {words}" if words else "" for words in pair.remarks]
     chosen = f", the first of {pair.settings} settings" if pair.settings > 1 else ""
     return (

@@ -21,10 +21,10 @@ UNDEFINED: dict[str, Any] = {"facecolor": "w", "edgecolor": "0.2", "hatch": "///
 def similarity(run: Run, note: str = "") -> Figure | None:
     """The matrix; undefined scores are hatched. None without its file. ``note`` goes into the
     title."""
-    found = read_similarity(run)
-    if found is None:
+    matrix = read_similarity(run)
+    if matrix is None:
         return None
-    scans, scores = found
+    scans, scores = matrix
     figure = Figure(figsize=(style.SINGLE, style.SINGLE))
     ax = figure.add_subplot()
     half = 0.5 * (scans[-1] - scans[0]) / max(len(scans) - 1, 1) or 0.5

@@ -43,7 +43,7 @@ Row = tuple[str, bool]
 
 
 @dataclass(frozen=True, eq=False)
-class Data:
+class MethodErrors:
     """One data set's part of the figure. ``cells`` holds the errors of (backend, row), None for
     a run without one; ``guess`` is the error without any registration, None if that has panels of
     its own."""
@@ -68,7 +68,7 @@ class Data:
 
     @property
     def values(self) -> list[float]:
-        """All there are, the guess alone included."""
+        """All of them, the guess alone included."""
         all_of_them = [*(v for values in self.cells.values() for v in values), self.guess]
         return [v for v in all_of_them if v is not None]
 
@@ -103,14 +103,14 @@ def centre(figure: Figure, drawn: Sequence[tuple[Text, list[Axes]]]) -> None:
         label.set_x((min(p.x0 for p in ends) + max(p.x1 for p in ends)) / 2)
 
 
-def columns_and_width(parts: Sequence[Data]) -> tuple[int, float]:
+def columns_and_width(parts: Sequence[MethodErrors]) -> tuple[int, float]:
     """Panels in a line, and the figure's width in inches."""
     columns = min(max(len(part.backends) for part in parts), PANELS_IN_A_LINE)
     long_names = max(len(name) for part in parts for name, _ in part.rows) > LONG_NAME
     return columns, style.DOUBLE if columns > 1 or long_names else style.SINGLE
 
 
-def data_parts(runs: Sequence[Run], settings: bool = True) -> list[Data]:
+def data_parts(runs: Sequence[Run], settings: bool = True) -> list[MethodErrors]:
     """The data sets whose runs have an error; a row a method, or (without ``settings``) a
     selector."""
     by_data: dict[str, list[Run]] = {}
@@ -119,19 +119,19 @@ def data_parts(runs: Sequence[Run], settings: bool = True) -> list[Data]:
     firsts = [group[0] for group in by_data.values()]
     out = []
     for group in by_data.values():
-        found = labels.main_error([run for run in group if run.done])
-        if found is None:
+        main_error = labels.main_error([run for run in group if run.done])
+        if main_error is None:
             continue
         alike = [r for r in firsts if labels.data_name(r) == labels.data_name(group[0])]
         words = labels.varying(alike, "dataset")[group[0]]
         rows = method_names(group) if settings else _selectors(group)
         name = ", ".join([labels.data_name(group[0]), *words])
-        out.append(_data(name, group, rows, found))
+        out.append(_data(name, group, rows, main_error))
     return out
 
 
 def _selectors(runs: Sequence[Run]) -> dict[Run, str]:
-    """Coarse names: the selector and how many settings of it there are."""
+    """Coarse names: the selector and the number of its settings."""
     settings: dict[str, set[str]] = {}
     for run, name in method_names(runs).items():
         settings.setdefault(labels.choice(run, "selector"), set()).add(name)
@@ -140,7 +140,9 @@ def _selectors(runs: Sequence[Run]) -> dict[Run, str]:
     return {run: words[labels.choice(run, "selector")] for run in runs}
 
 
-def _data(name: str, runs: list[Run], names: dict[Run, str], error: tuple[str, str, str]) -> Data:
+def _data(
+    name: str, runs: list[Run], names: dict[Run, str], error: tuple[str, str, str]
+) -> MethodErrors:
     key, unit, what = error
     guess = _guess([run for run in runs if labels.choice(run, "backend") == "none"], key)
     if guess is not None and any(labels.choice(run, "backend") != "none" for run in runs):
@@ -156,23 +158,23 @@ def _data(name: str, runs: list[Run], names: dict[Run, str], error: tuple[str, s
         cells.setdefault((title[run], row), []).append(number)
     panels = list(dict.fromkeys(title[run] for run in runs))
     rows = list(dict.fromkeys(row for _, row in cells))
-    return Data(name, unit, what, panels, rows, cells, guess)
+    return MethodErrors(name, unit, what, panels, rows, cells, guess)
 
 
 def _guess(runs: Sequence[Run], key: str) -> float | None:
     """The error of runs without registration, if the selector makes no difference to it."""
-    found = [number for run in runs if (number := labels.value(run, key)) is not None]
-    if not found or max(found) > ONE_VALUE * min(found):
+    known = [number for run in runs if (number := labels.value(run, key)) is not None]
+    if not known or max(known) > ONE_VALUE * min(known):
         return None
-    return float(np.median(found))
+    return float(np.median(known))
 
 
 def draw_part(
     place: Figure | SubFigure,
-    part: Data,
+    part: MethodErrors,
     columns: int,
     named: bool,
-    draw_panel: Callable[[Axes, Data, str], None],
+    draw_panel: Callable[[Axes, MethodErrors, str], None],
 ) -> tuple[Text, list[Axes]]:
     """All panels of one data set, with one scale; returns their common label and them."""
     axes = place.subplots(part.lines, columns, sharex=True, sharey=True, squeeze=False)
@@ -193,7 +195,7 @@ def draw_part(
     return label, list(axes.ravel()[: len(part.backends)])
 
 
-def draw_markers(ax: Axes, part: Data, backend: str) -> None:
+def draw_markers(ax: Axes, part: MethodErrors, backend: str) -> None:
     """A row of markers a method, one a run, and a line at their median."""
     for height, row in enumerate(part.rows):
         ax.axhline(height, color="0.88", lw=0.5, zorder=0)
@@ -245,7 +247,7 @@ def _scale(ax: Axes, values: list[float]) -> None:
     ax.xaxis.set_major_locator(MaxNLocator(4))
 
 
-def _title(runs: Sequence[Run], parts: list[Data]) -> str:
+def _title(runs: Sequence[Run], parts: list[MethodErrors]) -> str:
     data = parts[0].name if len(parts) == 1 else f"{len(parts)} data sets"
     errors = " and ".join(dict.fromkeys(part.error for part in parts))
     text = f"{data}: {errors} by method, one marker a run"
@@ -253,7 +255,7 @@ def _title(runs: Sequence[Run], parts: list[Data]) -> str:
     return text + (f" ({failed} of {len(runs)} runs are not done)" if failed else "")
 
 
-def _legend(parts: list[Data]) -> list[Line2D]:
+def _legend(parts: list[MethodErrors]) -> list[Line2D]:
     kinds = {is_rbtm for part in parts for _, is_rbtm in part.rows}
     words = {True: "rbtm", False: "control"}
     out = [Line2D([], [], ls="", **LOOKS[kind], label=words[kind]) for kind in sorted(kinds)]

@@ -1,4 +1,4 @@
-"""A run's occupancy grid: what its scans saw through, found occupied, and never saw."""
+"""A run's occupancy grid: what its scans saw through, saw as occupied, and never saw."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def _image(ax: Axes, grid: Occupancy) -> None:
 
 def _blocks(grid: Occupancy, limits: maps.Limits) -> Occupancy:
     """The grid in blocks of cells where the figure could not show single ones. A block is that
-    cell of it which the largest share of scans found occupied, else thin walls would fade."""
+    cell of it which the largest share of scans saw as occupied, else thin walls would fade."""
     inches = style.SINGLE - 0.6
     size = math.ceil((limits[1] - limits[0]) / grid.cell / inches / FINEST)
     if size < 2:

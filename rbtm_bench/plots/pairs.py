@@ -16,7 +16,7 @@ BETTER_SAME = ("guess", "check", "target")
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class RunPair:
     """``settings`` counts the rbtm settings that ``rbtm`` is the first of; ``remarks`` name, for
     each of the two, what else differs."""
 
@@ -27,25 +27,25 @@ class Pair:
     remarks: tuple[str, str] = ("", "")
 
 
-def standard_and_rbtm(runs: Sequence[Run]) -> list[Pair]:
+def standard_and_rbtm(runs: Sequence[Run]) -> list[RunPair]:
     """A pair for every data set and backend (and guess, check and target) that has both.
 
     Not for backend "none", which registers nothing: whatever the model scan, its map is the same.
     Of several seeds the lowest that both have, of several settings of rbtm the first.
     """
-    found: list[tuple[Run, Run, int, bool]] = []
+    chosen: list[tuple[Run, Run, int, bool]] = []
     real = [run for run in runs if labels.choice(run, "backend") != "none"]
     for members in _grouped(real, SAME):
         pairs = [_pair(m) for m in _grouped(members, BETTER_SAME)]
         exact = [p for p in pairs if p is not None]
         loose = None if exact else _pair(members)
-        found += [(*p, len(_seeds(members)) > 1) for p in exact or ([loose] if loose else [])]
-    stems = _stems([(rbtm, many) for _, rbtm, _, many in found])
+        chosen += [(*p, len(_seeds(members)) > 1) for p in exact or ([loose] if loose else [])]
+    stems = _stems([(rbtm, many) for _, rbtm, _, many in chosen])
     out = []
-    for (standard, rbtm, settings, _), stem in zip(found, stems, strict=True):
+    for (standard, rbtm, settings, _), stem in zip(chosen, stems, strict=True):
         words = labels.distinctions([standard, rbtm], BETTER_SAME)
         remarks = (", ".join(words[standard]), ", ".join(words[rbtm]))
-        out.append(Pair(standard, rbtm, settings, stem, remarks))
+        out.append(RunPair(standard, rbtm, settings, stem, remarks))
     return out
 
 
@@ -57,7 +57,7 @@ def _grouped(runs: Sequence[Run], groups: tuple[str, ...]) -> list[list[Run]]:
 
 
 def _pair(runs: Sequence[Run]) -> tuple[Run, Run, int] | None:
-    """Standard, rbtm and how many rbtm settings there are at the lowest seed that has both."""
+    """Standard, rbtm and the number of rbtm settings, at the lowest seed that has both."""
     by_selector = {
         name: [run for run in runs if labels.choice(run, "selector") == name]
         for name in ("previous", "rbtm")
@@ -78,7 +78,7 @@ def _seeds(runs: Sequence[Run]) -> set[float]:
 
 def _stems(runs: Sequence[tuple[Run, bool]]) -> list[str]:
     """File names that differ: data set and backend, then what else tells the pairs apart, then
-    the seed if there were several."""
+    the seed if the pair was one of several."""
     out: list[str] = []
     for run, many_seeds in runs:
         names = [labels.choice(run, group) for group in SAME]

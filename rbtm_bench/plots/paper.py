@@ -1,6 +1,6 @@
 """The figures of the RBTM paper, made from our runs: what ``scripts/reproduce_paper.py`` draws.
 
-Maps, matrices and steps of any run are drawn by ``maps``, ``matrix`` and ``steps``; here is what
+Maps, matrices and steps of any run are drawn by ``maps``, ``matrix`` and ``steps``; this is what
 the paper shows and they do not.
 """
 
@@ -56,8 +56,8 @@ class View:
 
 
 @dataclass(frozen=True)
-class Pair:
-    """Descriptors (B,) in rad of two scans, NaN where there is none, and their similarity."""
+class DescriptorPair:
+    """Descriptors (B,) in rad of two scans, NaN where undefined, and their similarity."""
 
     title: str
     phi: tuple[Array, Array]
@@ -82,17 +82,17 @@ def outline(walls: Sequence[Segment]) -> Array:
     rest = [tuple(segment) for segment in walls[1:]]
     corners = list(walls[0])
     while rest:
-        found = next((segment for segment in rest if corners[-1] in segment), None)
-        if found is None:
+        following = next((segment for segment in rest if corners[-1] in segment), None)
+        if following is None:
             raise ValueError(f"the walls end at {corners[-1]}")
-        rest.remove(found)
-        corners.append(found[1] if found[0] == corners[-1] else found[0])
+        rest.remove(following)
+        corners.append(following[1] if following[0] == corners[-1] else following[0])
     if corners[0] != corners[-1]:
         raise ValueError(f"the walls do not close: {corners[0]} and {corners[-1]}")
     return np.array(corners[:-1])
 
 
-def descriptors(room: Array, views: tuple[View, View], pairs: Sequence[Pair]) -> Figure:
+def descriptors(room: Array, views: tuple[View, View], pairs: Sequence[DescriptorPair]) -> Figure:
     """The paper's Fig. 1(b): a simple environment with two scans, beside it their descriptors
     over the beam, a strip each, for every pair."""
     figure = Figure(figsize=(style.DOUBLE, 3.6))
@@ -130,7 +130,7 @@ def _one_scan(ax: Axes, room: Array, view: View, look: dict[str, Any]) -> None:
 
 
 def _no_return(ax: Axes, phi: Array) -> None:
-    """Say why there is nothing where the longest run of beams has no descriptor."""
+    """Say why nothing is drawn where the longest run of beams has no descriptor."""
     empty = np.flatnonzero(np.isnan(phi))
     if not len(empty):
         return
@@ -142,7 +142,7 @@ def _no_return(ax: Axes, phi: Array) -> None:
 
 
 def _room(ax: Axes, room: Array, edge: str = style.BLACK) -> None:
-    """Free space white, walls grey, as in the paper; in cm, as there."""
+    """Free space white, walls grey, and cm, as in the paper."""
     low, high = CM * room.min(axis=0) - 15, CM * room.max(axis=0) + 15
     ax.set_facecolor(WALL)
     ax.add_patch(Polygon(CM * room, fc="w", ec=edge, lw=0.6, zorder=0))
@@ -160,16 +160,16 @@ def _robot(ax: Axes, pose: Array, colour: str) -> None:
     ax.plot((x, x + tip[0]), (y, y + tip[1]), color=colour, lw=1.0, zorder=7)
 
 
-def matrices(found: Sequence[tuple[str, tuple[Array, Array]]]) -> Figure:
+def matrices(panels: Sequence[tuple[str, tuple[Array, Array]]]) -> Figure:
     """The paper's Fig. 1(c): similarity matrices beside each other on one scale.
 
-    ``found`` are titles with scan numbers (K,), from 0, and scores (K, K).
+    ``panels`` are titles with scan numbers (K,), from 0, and scores (K, K).
     """
     figure = Figure(figsize=(style.DOUBLE, 2.9))
-    axes = figure.subplots(1, len(found), sharex=True, sharey=True, squeeze=False)[0]
-    lowest = min(float(np.nanmin(scores)) for _, (_, scores) in found)
+    axes = figure.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
+    lowest = min(float(np.nanmin(scores)) for _, (_, scores) in panels)
     bottom = min(0.0, math.floor(10 * lowest) / 10)
-    for ax, (title, (scans, scores)) in zip(axes, found, strict=True):
+    for ax, (title, (scans, scores)) in zip(axes, panels, strict=True):
         edge = (float(scans[0]) + 0.5, float(scans[-1]) + 1.5)
         image = ax.imshow(
             scores, extent=(*edge, *edge[::-1]), vmin=bottom, vmax=1.0, cmap="viridis",
@@ -256,10 +256,10 @@ def _models(ax: Axes, steps: Steps) -> None:
         ("fallback", "RBTM: fallback", {"marker": "^", "color": style.VERMILION, "ms": 4.0}),
     )
     for status, word, look in looks:
-        here = np.isfinite(model) & (steps.status == status)
-        if here.any():
-            label = f"{word} ({int(here.sum())} scans)"
-            ax.plot(scan[here], model[here], ls="", label=label, **look)
+        chosen = np.isfinite(model) & (steps.status == status)
+        if chosen.any():
+            label = f"{word} ({int(chosen.sum())} scans)"
+            ax.plot(scan[chosen], model[chosen], ls="", label=label, **look)
     ax.set(xlabel="scan j", ylabel="model scan m", xlim=(0, len(scan) + 1), ylim=(0, None))
     for axis in (ax.xaxis, ax.yaxis):
         axis.set_major_locator(MaxNLocator(6, integer=True))

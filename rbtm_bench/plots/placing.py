@@ -116,12 +116,12 @@ def _boxes(corners: Sequence[Any], inner: Bbox) -> list[Bbox]:
 def _overlap(box: Bbox, others: Sequence[Bbox]) -> float:
     """Area that a box shares with others, square points."""
     return sum(
-        found.width * found.height
+        common.width * common.height
         for other in others
-        if (found := Bbox.intersection(box, other)) is not None
+        if (common := Bbox.intersection(box, other)) is not None
     )
 
 
 def _share(box: Bbox, inner: Bbox) -> float:
-    found = Bbox.intersection(box, inner)
-    return 0.0 if found is None else found.width * found.height / (box.width * box.height)
+    common = Bbox.intersection(box, inner)
+    return 0.0 if common is None else common.width * common.height / (box.width * box.height)

@@ -36,15 +36,15 @@ class Ratio:
 def draw(rows: Sequence[tuple[str, Sequence[Ratio]]], title: str, theirs: float) -> Figure:
     """Ratios over the number of scans (x) and the correspondence distance (y), a panel a noise,
     a row of panels a comparison; ``theirs`` is marked on the scale."""
-    cells = [cell for _, found in rows for cell in found]
+    cells = [cell for _, ratios in rows for cell in ratios]
     noises = sorted({cell.noise_mm for cell in cells})
     finite = [cell.ratio for cell in cells if math.isfinite(cell.ratio)]
     norm = LogNorm(min(1.0, *finite), max(theirs * 1.2, *finite))
     figure = Figure(figsize=(style.DOUBLE, 0.9 + 1.75 * len(rows)))
     axes = figure.subplots(len(rows), len(noises), sharex=True, sharey=True, squeeze=False)
-    for line, (name, found) in zip(axes, rows, strict=True):
+    for line, (name, ratios) in zip(axes, rows, strict=True):
         for ax, noise in zip(line, noises, strict=True):
-            image = _panel(ax, [cell for cell in found if cell.noise_mm == noise], norm)
+            image = _panel(ax, [cell for cell in ratios if cell.noise_mm == noise], norm)
         line[0].set_ylabel(f"{name}\nICP distance (m)")
     for ax, noise in zip(axes[0], noises, strict=True):
         ax.set_title("no noise" if noise == 0 else f"range noise {noise:g} mm")

@@ -21,14 +21,14 @@ COLOURS = "viridis"
 """Its lightness rises with the value, so that it reads in grey as well."""
 
 
-def draw(found: Scores, dataset: str, similarity: str) -> Figure:
+def draw(all_scores: Scores, dataset: str, similarity: str) -> Figure:
     """The matrix (the paper's Fig. 1c), or the band with gaps upwards. Undefined scores and pairs
     that do not exist are hatched; axes count scans and, where known, metres travelled."""
-    matrix = found.window is None
-    count, columns = found.scores.shape
+    matrix = all_scores.window is None
+    count, columns = all_scores.scores.shape
     every = -(-count // DRAWN)
     across = every if matrix else -(-columns // GAPS_DRAWN)
-    shown = found.scores[::every, ::across]
+    shown = all_scores.scores[::every, ::across]
     image_of = shown if matrix else shown.T
     width = style.SINGLE + 0.6 if matrix else style.DOUBLE
     figure = Figure(figsize=(width, style.SINGLE if matrix else 2.9))
@@ -52,19 +52,19 @@ def draw(found: Scores, dataset: str, similarity: str) -> Figure:
     )
     for side in (ax.xaxis, ax.yaxis):
         side.set_major_locator(MaxNLocator(5, integer=True))
-    _metres(ax, found)
+    _metres(ax, all_scores)
     beside = ax.inset_axes((1.05, 0.0, 0.05, 1.0) if matrix else (1.02, 0.0, 0.02, 1.0))
     figure.colorbar(image, cax=beside, label="similarity S")
     handles = []
     if np.isnan(shown).any():
-        share = found.undefined_share
+        share = all_scores.undefined_share
         percent = f"{share:.1%}" if share >= 0.001 else "< 0.1%"
         label = f"undefined ({percent})" if share else "no such scan"
         if not matrix and share:
             label += ", or no such scan"
         handles.append(Patch(**UNDEFINED, label=label))
     figure.suptitle(
-        style.wrapped("\n".join(_title(found, dataset, similarity, every, across)), width)
+        style.wrapped("\n".join(_title(all_scores, dataset, similarity, every, across)), width)
     )
     style.legend_below(figure, handles, 1)
     if matrix:
@@ -72,22 +72,22 @@ def draw(found: Scores, dataset: str, similarity: str) -> Figure:
     return figure
 
 
-def _title(found: Scores, dataset: str, similarity: str, every: int, across: int) -> list[str]:
-    count = len(found.scores)
+def _title(all_scores: Scores, dataset: str, similarity: str, every: int, across: int) -> list[str]:
+    count = len(all_scores.scores)
     lines = [f"{dataset}, {count} scans, similarity {similarity}"]
     thin = []
     if every > 1:
         thin.append(f"one scan in {every} is drawn")
-    if found.window is not None and across > 1:
+    if all_scores.window is not None and across > 1:
         thin.append(f"one gap in {across} is drawn")
     return [*lines, ", ".join(thin)] if thin else lines
 
 
-def _metres(ax: Axes, found: Scores) -> None:
+def _metres(ax: Axes, all_scores: Scores) -> None:
     """Metres travelled along the upper side, at the scans that they belong to."""
-    if found.metres is None or len(found.metres) < 2 or found.metres[-1] <= 0:
+    if all_scores.metres is None or len(all_scores.metres) < 2 or all_scores.metres[-1] <= 0:
         return
-    metres = found.metres
+    metres = all_scores.metres
     wanted = np.asarray(MaxNLocator(5).tick_values(0.0, float(metres[-1])))
     wanted = wanted[(wanted >= 0) & (wanted <= metres[-1])]
     # of a robot that stands still the first scan at that place

@@ -24,7 +24,7 @@ TALL = 2.0
 """Height of a panel, inches."""
 BINS = 5
 """Of local and of long relations at most, with equally many in each."""
-FEWEST = 20
+FEWEST_RELATIONS = 20
 """Relations that a median is taken over at least."""
 LOCAL_S = 30.0
 """Where local relations end unless the run's settings say otherwise, s."""
@@ -46,9 +46,9 @@ def draw(data: Data) -> Iterator[Figure]:
     curves: dict[tuple[str, str], Curve] = {}
     for panel in few.panels:
         for method in panel.methods:
-            found = curve(method.runs[0])
-            if found is not None:
-                curves[panel.name, method.name] = found
+            line = curve(method.runs[0])
+            if line is not None:
+                curves[panel.name, method.name] = line
     if not curves:
         return
     guess = curve(data.guess) if data.guess is not None else None
@@ -61,11 +61,11 @@ def draw(data: Data) -> Iterator[Figure]:
         if guess is not None:
             ax.plot(guess.span, guess.error, **GUESS, zorder=1)
         for method in panel.methods:
-            found = curves.get((panel.name, method.name))
-            if found is not None:
+            line = curves.get((panel.name, method.name))
+            if line is not None:
                 look = own[method.name]
                 mark = {**look.mark, "ms": 3.5, "mew": 0.8}
-                ax.plot(found.span, found.error, **look.line, **mark, label=method.name, zorder=3)
+                ax.plot(line.span, line.error, **look.line, **mark, label=method.name, zorder=3)
         ax.set_xscale("log")
         ax.set_yscale("log")
         ax.xaxis.set_major_formatter(FuncFormatter(_time))
@@ -82,16 +82,16 @@ def draw(data: Data) -> Iterator[Figure]:
 
 
 def curve(run: Run) -> Curve | None:
-    """The run's relations by span, local and long ones apart, at least 20 a bin; None where there
-    are not as many."""
+    """The run's relations by span, local and long ones apart, at least ``FEWEST_RELATIONS`` a
+    bin; None without as many."""
     if not (run.path / FILE).is_file():
         return None
-    found = RelationErrors.read(run.path / FILE)
-    span, error = np.abs(found.end - found.start), found.translation_m
+    relations = RelationErrors.read(run.path / FILE)
+    span, error = np.abs(relations.end - relations.start), relations.translation_m
     parts: list[NDArray[np.intp]] = []
-    for kind in (found.used & found.local, found.used & ~found.local):
+    for kind in (relations.used & relations.local, relations.used & ~relations.local):
         order = np.flatnonzero(kind)[np.argsort(span[kind], kind="stable")]
-        bins = min(BINS, len(order) // FEWEST)
+        bins = min(BINS, len(order) // FEWEST_RELATIONS)
         parts += np.array_split(order, bins) if bins else []
     if not parts:
         return None

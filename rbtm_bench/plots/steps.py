@@ -16,7 +16,7 @@ from rbtm_bench.plots.folder import Steps, read_steps
 from rbtm_bench.runs.stored import Run
 
 LEAST = 1e-5
-"""Smaller eigenvalues are drawn here."""
+"""Smaller eigenvalues are drawn at this one."""
 LONG = 1000
 """Scans from which on a figure takes both columns."""
 

@@ -20,7 +20,7 @@ LOG_FROM = 20.0
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """The runs at one place: the median of those with an error, and how many there are."""
+    """The runs at one place: the median of those with an error, and their number."""
 
     median: float
     known: int
@@ -30,9 +30,9 @@ class Cell:
 
 
 @dataclass(frozen=True, eq=False)
-class Panel:
+class StudyPanel:
     """One backend (and what else tells its runs apart). ``cells`` are by the settings' values;
-    ``control`` is the error of the selector "previous", None if there is none."""
+    ``control`` is the error of the selector "previous", None if unknown."""
 
     name: str
     cells: dict[tuple[float, ...], Cell]
@@ -45,7 +45,7 @@ class Panel:
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class SettingsStudy:
     """One data set's runs of one selector: their error over the settings ``axes``."""
 
     stem: str
@@ -54,7 +54,7 @@ class Study:
     axes: tuple[str, ...]
     unit: str
     error: str
-    panels: list[Panel]
+    panels: list[StudyPanel]
 
     @property
     def medians(self) -> list[float]:
@@ -73,31 +73,33 @@ class Study:
         return f"{self.data}: {self.error} of {self.selector} over {over}{medians}"
 
 
-def studies(runs: Sequence[Run]) -> list[Study]:
-    """What there is to draw, by data set and selector."""
-    out: list[Study] = []
+def studies(runs: Sequence[Run]) -> list[SettingsStudy]:
+    """What can be drawn, by data set and selector."""
+    out: list[SettingsStudy] = []
     for file, name, group in by_data(runs):
-        found = labels.main_error([run for run in group if run.done])
-        if found is None:
+        main_error = labels.main_error([run for run in group if run.done])
+        if main_error is None:
             continue
         real = [run for run in group if labels.choice(run, "backend") != "none"] or group
-        controls = _controls(real, found[0])
+        controls = _controls(real, main_error[0])
         for selector in dict.fromkeys(labels.choice(run, "selector") for run in real):
             chosen = [run for run in real if labels.choice(run, "selector") == selector]
             axes = _axes(chosen)
             if axes:
                 stem = file if selector == "rbtm" else file_name(f"{file}-{selector}")
                 stem = unique(stem, [study.stem for study in out])
-                panels = _panels(chosen, real, axes, found[0], controls)
-                out.append(Study(stem, name, selector, axes, found[1], found[2], panels))
+                panels = _panels(chosen, real, axes, main_error[0], controls)
+                out.append(
+                    SettingsStudy(stem, name, selector, axes, main_error[1], main_error[2], panels)
+                )
     return [study for study in out if study.medians]
 
 
 def _axes(runs: Sequence[Run]) -> tuple[str, ...]:
     """The one or two numeric settings to draw over; none if none varies."""
     numbers = [labels.numbers(run, "selector") for run in runs]
-    known = [key for key in numbers[0] if all(key in found for found in numbers)]
-    varying = [key for key in known if len({found[key] for found in numbers}) > 1]
+    known = [key for key in numbers[0] if all(key in settings for settings in numbers)]
+    varying = [key for key in known if len({settings[key] for settings in numbers}) > 1]
     return FAVOURITES if set(FAVOURITES) <= set(varying) else tuple(varying[:2])
 
 
@@ -114,12 +116,12 @@ def _base_names(runs: Sequence[Run]) -> dict[Run, str]:
 def _controls(runs: Sequence[Run], key: str) -> dict[str, float]:
     """The median error of the selector "previous" by base name."""
     names = _base_names(runs)
-    found: dict[str, list[float]] = {}
+    errors: dict[str, list[float]] = {}
     for run in runs:
         number = labels.value(run, key) if run.done else None
         if labels.choice(run, "selector") == "previous" and number is not None:
-            found.setdefault(names[run], []).append(number)
-    return {name: float(np.median(numbers)) for name, numbers in found.items()}
+            errors.setdefault(names[run], []).append(number)
+    return {name: float(np.median(numbers)) for name, numbers in errors.items()}
 
 
 def _panels(
@@ -128,7 +130,7 @@ def _panels(
     axes: tuple[str, ...],
     key: str,
     controls: dict[str, float],
-) -> list[Panel]:
+) -> list[StudyPanel]:
     base = _base_names(everything)
     own = labels.distinctions(chosen, ("similarity",))
     others = labels.varying(chosen, "selector", skip=(*axes, "gaps", "gaps_from"))
@@ -139,13 +141,15 @@ def _panels(
         place = tuple(numbers[axis] for axis in axes)
         groups.setdefault((name, base[run]), {}).setdefault(place, []).append(run)
     return [
-        Panel(name, {p: _cell(found, key) for p, found in places.items()}, controls.get(under))
+        StudyPanel(
+            name, {p: _cell(members, key) for p, members in places.items()}, controls.get(under)
+        )
         for (name, under), places in groups.items()
     ]
 
 
 def _cell(runs: Sequence[Run], key: str) -> Cell:
-    found = [n for run in runs if run.done and (n := labels.value(run, key)) is not None]
-    if not found:
+    errors = [n for run in runs if run.done and (n := labels.value(run, key)) is not None]
+    if not errors:
         return Cell(math.nan, 0, len(runs), math.nan, math.nan)
-    return Cell(float(np.median(found)), len(found), len(runs), min(found), max(found))
+    return Cell(float(np.median(errors)), len(errors), len(runs), min(errors), max(errors))

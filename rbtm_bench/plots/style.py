@@ -96,7 +96,7 @@ def wrapped(text: str, width: float) -> str:
 
 
 def _pieces(words: Sequence[str], width: float) -> Iterator[str]:
-    """The words, those too wide for a line in parts, cut behind a hyphen where there is one."""
+    """The words, those too wide for a line in parts, cut behind a hyphen if they have one."""
     for word in words:
         while inches(word) > width:
             fits = next(n for n in range(len(word) - 1, 0, -1) if inches(word[:n]) <= width)

@@ -40,7 +40,7 @@ END: dict[str, Any] = {"marker": "o", "ms": 9.0, "mfc": "none", "mec": "0.55", "
 @dataclass(frozen=True, eq=False)
 class Lines:
     """Positions (N, 3) m of every (panel, method) relative to the first pose; of the truth and of
-    the guess alone, None where there are none."""
+    the guess alone, None without."""
 
     paths: dict[tuple[str, str], Array]
     truth: Array | None
@@ -86,8 +86,8 @@ def limits(lines: Lines) -> Limits:
     """A view that holds the truth and every path that is not lost."""
     reach = [float(np.abs(path[:, :2]).max()) for path in lines.paths.values()]
     usual = np.median(reach) if lines.truth is None else np.abs(lines.truth).max()
-    found = [*lines.paths.values(), *([] if lines.guess is None else [lines.guess])]
-    kept = [path for path in found if np.abs(path[:, :2]).max() <= LOST * usual]
+    paths = [*lines.paths.values(), *([] if lines.guess is None else [lines.guess])]
+    kept = [path for path in paths if np.abs(path[:, :2]).max() <= LOST * usual]
     points = np.concatenate([*kept, *([] if lines.truth is None else [lines.truth])])[:, :2]
     low, high = points.min(axis=0), points.max(axis=0)
     width, height = np.maximum(high - low, 1e-3 * max(*(high - low), 1e-3))
@@ -140,23 +140,23 @@ def _inside(path: Array, view: Limits) -> NDArray[np.bool_]:
 
 
 def _handles(own: dict[str, Look], lines: Lines) -> list[Any]:
-    found = [panels.handle(name, **look.line, **look.mark) for name, look in own.items()]
+    handles = [panels.handle(name, **look.line, **look.mark) for name, look in own.items()]
     if lines.truth is not None:
         end = {**END, "ms": 7.0}
-        found.append(panels.handle("ground truth", **TRUTH, **end))
+        handles.append(panels.handle("ground truth", **TRUTH, **end))
     if lines.guess is not None:
-        found.append(panels.handle("the guess alone", **GUESS))
-    return [*found, panels.handle("start", **START)]
+        handles.append(panels.handle("the guess alone", **GUESS))
+    return [*handles, panels.handle("start", **START)]
 
 
 def _common_seeds(data: Data) -> set[float]:
     """The seeds that every method has a run of."""
-    found = [
+    seeds = [
         {float(run.record["seed"]) for run in method.runs if run.record.get("seed") is not None}
         for panel in data.panels
         for method in panel.methods
     ]
-    return set.intersection(*found)
+    return set.intersection(*seeds)
 
 
 def _read(data: Data, seed: float | None) -> Lines | None:
@@ -165,18 +165,18 @@ def _read(data: Data, seed: float | None) -> Lines | None:
     for panel in data.panels:
         for method in panel.methods:
             chosen = [run for run in method.runs if labels.seed_order(run) == seed]
-            found = read_paths((chosen or method.runs)[0])
-            if found is not None:
-                paths[panel.name, method.name] = _positions(found.estimate.T_world_scan)
-                if truth is None and found.truth is not None:
-                    truth = _positions(found.truth.T_world_scan)
+            run_paths = read_paths((chosen or method.runs)[0])
+            if run_paths is not None:
+                paths[panel.name, method.name] = _positions(run_paths.estimate.T_world_scan)
+                if truth is None and run_paths.truth is not None:
+                    truth = _positions(run_paths.truth.T_world_scan)
     guess = _guess(data.guess)
     return Lines(paths, truth, guess) if paths else None
 
 
 def _guess(run: Run | None) -> Array | None:
-    found = read_paths(run) if run is not None else None
-    return None if found is None else _positions(found.estimate.T_world_scan)
+    paths = read_paths(run) if run is not None else None
+    return None if paths is None else _positions(paths.estimate.T_world_scan)
 
 
 def _positions(T: Array) -> Array:

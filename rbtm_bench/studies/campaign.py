@@ -1,4 +1,4 @@
-"""Many grids of runs in one folder, for a study made of several: what is there already stays."""
+"""Many grids of runs in one folder, for a study made of several: runs that exist already stay."""
 
 from __future__ import annotations
 

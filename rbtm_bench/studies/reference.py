@@ -91,11 +91,11 @@ def made_with() -> str:
 def corridor_points(backends: str = BACKENDS) -> list[Point]:
     """The demo's methods on the demo's seeds, without pictures."""
     words = ["dataset=corridor", f"seed={SEEDS}", "overwrite=true", "pictures=false"]
-    found = []
+    points = []
     for grid in GRIDS:
         chosen = [word.replace(f"backend={BACKENDS}", f"backend={backends}") for word in grid]
-        found += make_points([*chosen, *words])[0]
-    return found
+        points += make_points([*chosen, *words])[0]
+    return points
 
 
 def corridor_rows(runs: Sequence[Run]) -> pd.DataFrame:
@@ -114,19 +114,19 @@ def corridor_rows(runs: Sequence[Run]) -> pd.DataFrame:
 def corridor_page(table: pd.DataFrame) -> str:
     """Medians over seeds, a row a method."""
     rows = []
-    for (backend, selector, settings), here in table.groupby(
+    for (backend, selector, settings), group in table.groupby(
         ["backend", "selector", "settings"], sort=False
     ):
-        error = here["final_error_mm"]
+        error = group["final_error_mm"]
         rows.append(
             {
                 "backend": backend, "selector": selector, "settings": settings,
-                "seeds": str(len(here)), "median (mm)": number(error.median()),
+                "seeds": str(len(group)), "median (mm)": number(error.median()),
                 "smallest": number(error.min()), "largest": number(error.max()),
-                "along (mm)": number(here["along_mm"].median()),
-                "cross (mm)": number(here["cross_mm"].median()),
-                "heading (deg)": number(here["heading_deg"].median()),
-                "mean gap": number(here["mean_gap"].median()),
+                "along (mm)": number(group["along_mm"].median()),
+                "cross (mm)": number(group["cross_mm"].median()),
+                "heading (deg)": number(group["heading_deg"].median()),
+                "mean gap": number(group["mean_gap"].median()),
             }
         )  # fmt: skip
     text = (

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from rbtm_bench.backends.base import Backend
-from rbtm_bench.calibration.known_pairs import Pair, disturbed, pairs_of, register_all
+from rbtm_bench.calibration.known_pairs import KnownPair, disturbed, pairs_of, register_all
 from rbtm_bench.core.files import make_folder, write_atomically
 from rbtm_bench.core.types import Array
 from rbtm_bench.engine.progress import bar
@@ -54,7 +54,7 @@ def options_of(argv: Sequence[str] | None) -> tuple[argparse.Namespace, list[str
     return parser.parse_known_args(argv)
 
 
-def load(options: argparse.Namespace, words: list[str]) -> tuple[list[Pair], list[str]]:
+def load(options: argparse.Namespace, words: list[str]) -> tuple[list[KnownPair], list[str]]:
     """The pairs, and the words that backends are built with."""
     distance = options.distance
     if any(word.startswith("dataset=") for word in words):
@@ -85,7 +85,7 @@ def backends_for(names: str | None, planar: bool, words: list[str]) -> dict[str,
 
 
 def shares(
-    backend: Backend, pairs: list[Pair], guesses: dict[tuple[float, float], list[Array]]
+    backend: Backend, pairs: list[KnownPair], guesses: dict[tuple[float, float], list[Array]]
 ) -> dict[tuple[float, float], float]:
     """The share of right answers for every size of the guess's error."""
     return {

@@ -21,7 +21,13 @@ from pathlib import Path
 
 from bench_basin import NEAR_DEG, NEAR_M, backends_for
 
-from rbtm_bench.calibration.known_pairs import Outcome, Pair, errors_of, pairs_of, register_all
+from rbtm_bench.calibration.known_pairs import (
+    KnownPair,
+    PairOutcome,
+    errors_of,
+    pairs_of,
+    register_all,
+)
 from rbtm_bench.core.files import make_folder, write_atomically
 from rbtm_bench.engine.progress import bar
 from rbtm_bench.runs import experiment, settings
@@ -32,23 +38,25 @@ FLOOR = (0.02, 0.3)
 COLUMNS = ("log", "backend", "mean_m", "mean_deg", "near", "ms", "failed", "pairs")
 
 
-def pairs_in(log: Path) -> list[Pair]:
+def pairs_in(log: Path) -> list[KnownPair]:
     """Consecutive scans with corrected pose and odometry."""
     words = ["dataset=carmen", f"dataset.path='{log}'"]
     dataset = experiment.build(settings.compose_settings(words).config["dataset"])
     return [pair for pair in pairs_of(dataset) if pair.odometry is not None]
 
 
-def guesses_of(pairs: list[Pair]) -> list[Outcome]:
+def guesses_of(pairs: list[KnownPair]) -> list[PairOutcome]:
     """What the raw odometry alone is off."""
     return [
-        Outcome(*errors_of(pair.odometry, pair.T_target_source), 0.0)
+        PairOutcome(*errors_of(pair.odometry, pair.T_target_source), 0.0)
         for pair in pairs
         if pair.odometry is not None
     ]
 
 
-def row(log: Path, name: str, outcomes: list[Outcome], guesses: list[Outcome]) -> list[object]:
+def row(
+    log: Path, name: str, outcomes: list[PairOutcome], guesses: list[PairOutcome]
+) -> list[object]:
     """One line of the table; a registration that raised leaves the guess."""
     ended = [guess if o.reason else o for o, guess in zip(outcomes, guesses, strict=True)]
     times = [o.seconds for o in outcomes if not o.reason]

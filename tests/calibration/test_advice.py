@@ -37,15 +37,15 @@ def test_a_promise_weighs_success_by_how_often_a_gap_is_chosen() -> None:
     # two scans in three would take gap 2, one gap 1; 60 pairs of each gap, one a block
     offered = np.array([[0.9, 0.9], [0.9, 0.9], [0.9, 0.1]])
     group, success = np.repeat([1, 2], 60), np.r_[np.ones(60, bool), np.arange(60) < 30]
-    found = promise(
+    both = promise(
         Evidence(np.full(120, 0.8), success, group, np.arange(120), offered, np.array([1, 2])),
         0.5,
         window=3,
     )
-    assert found.success is not None
-    assert found.success.value == pytest.approx(2 / 3 * 0.5 + 1 / 3 * 1.0)
-    assert (found.used, found.reach, found.pairs) == (1.0, pytest.approx(5 / 3), 120)
-    assert not found.all_pass
+    assert both.success is not None
+    assert both.success.value == pytest.approx(2 / 3 * 0.5 + 1 / 3 * 1.0)
+    assert (both.used, both.reach, both.pairs) == (1.0, pytest.approx(5 / 3), 120)
+    assert not both.all_pass
     small = promise(
         Evidence(np.full(120, 0.8), success, group, np.arange(120), offered, np.array([1, 2])),
         0.5,
@@ -60,25 +60,25 @@ def test_too_few_pairs_promise_nothing() -> None:
         np.full(20, 0.8), np.ones(20, bool), np.ones(20, int), np.arange(20), offered, np.array([1])
     )
     assert promise(few, 0.5, 2).success is None
-    told = advise(few, few, 0.9)
-    assert told.chosen is None and told.why.startswith("no advice")
+    advice = advise(few, few, 0.9)
+    assert advice.chosen is None and advice.why.startswith("no advice")
     assert promise(few, 0.5, 2, least=1).success is not None
 
 
 def test_the_advice_reaches_back_as_far_as_it_may() -> None:
-    found = advise(evidence(0), evidence(1), 0.9)
-    assert found.reached and found.chosen is not None and found.reported is not None
-    assert found.chosen.window == 5
-    assert found.chosen.threshold == pytest.approx(0.5, abs=0.041)
-    assert found.chosen.success is not None and found.chosen.success.cautious >= 0.9
-    assert found.reported.success is not None and found.reported.success.value > 0.9
-    assert found.reported.threshold == found.chosen.threshold
+    advice = advise(evidence(0), evidence(1), 0.9)
+    assert advice.reached and advice.chosen is not None and advice.reported is not None
+    assert advice.chosen.window == 5
+    assert advice.chosen.threshold == pytest.approx(0.5, abs=0.041)
+    assert advice.chosen.success is not None and advice.chosen.success.cautious >= 0.9
+    assert advice.reported.success is not None and advice.reported.success.value > 0.9
+    assert advice.reported.threshold == advice.chosen.threshold
 
 
-def test_a_rate_that_nothing_reaches_is_said() -> None:
-    found = advise(evidence(0, worth=0.7), evidence(1, worth=0.7), 0.95)
-    assert not found.reached and found.chosen is not None
-    assert found.why.startswith("no threshold and window promise 95%")
+def test_a_rate_that_nothing_reaches_is_reported() -> None:
+    advice = advise(evidence(0, worth=0.7), evidence(1, worth=0.7), 0.95)
+    assert not advice.reached and advice.chosen is not None
+    assert advice.why.startswith("no threshold and window promise 95%")
 
 
 def test_the_reported_part_does_not_decide() -> None:
@@ -87,8 +87,8 @@ def test_the_reported_part_does_not_decide() -> None:
 
 
 def test_thresholds_are_round_and_cover_the_scores() -> None:
-    found = thresholds(np.array([0.111, np.nan, 0.25]))
-    np.testing.assert_allclose(found, [0.08, 0.10, 0.12, 0.14, 0.16, 0.18, 0.20, 0.22, 0.24, 0.26])
+    tried = thresholds(np.array([0.111, np.nan, 0.25]))
+    np.testing.assert_allclose(tried, [0.08, 0.10, 0.12, 0.14, 0.16, 0.18, 0.20, 0.22, 0.24, 0.26])
     assert thresholds(np.array([-1.0, 0.0])).min() == -1.0
     assert len(thresholds(np.array([np.nan]))) == 0
 
@@ -102,7 +102,7 @@ def test_a_part_whose_windows_offer_nothing() -> None:
     windows = pd.DataFrame({"data": [0], "source": [9], "group": [1], "part": ["calibration"]})
     scores, offered = {"s": np.array([0.5, 0.6])}, {"s": np.array([0.7])}
     measured = analysis.Measured(pairs, {"b": outcome}, scores, windows, offered, {})
-    found = analysis.evidence(measured, outcome, "s", "reported")
-    assert found.offered.shape == (0, 0)
-    assert promise(found, 0.1, 2).success is None
+    nothing = analysis.evidence(measured, outcome, "s", "reported")
+    assert nothing.offered.shape == (0, 0)
+    assert promise(nothing, 0.1, 2).success is None
     assert not analysis.advices(measured, 0.9)["b", "s"].reached

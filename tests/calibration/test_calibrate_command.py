@@ -118,7 +118,7 @@ def test_the_yaml_is_used(made: tuple[Path, str], tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--within=1"], "--within 1: expected two numbers"),
         (["--within=a,b"], "--within a,b: expected numbers with commas between"),
@@ -135,12 +135,12 @@ def test_the_yaml_is_used(made: tuple[Path, str], tmp_path: Path) -> None:
     ],
 )
 def test_mistakes_are_one_line(
-    words: list[str], said: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     out = [] if any("out=" in w for w in words) else [f"--out={tmp_path / 'x'}"]
     assert main(["calibrate", *words, *out]) == 2
     err = capsys.readouterr().err
-    assert said in err and len(err.splitlines()) == 1
+    assert message in err and len(err.splitlines()) == 1
     assert not (tmp_path / "x").exists()
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from rbtm_bench.calibration.plan import Plan
+from rbtm_bench.calibration.plan import CalibrationPlan
 from rbtm_bench.calibration.sampling import GAP, REVISIT, draw
 from rbtm_bench.calibration.track import track_of
 from rbtm_bench.cli.commands import main
@@ -47,13 +47,15 @@ def test_without_truth_it_is_said(
     assert "The stand-in is no truth" in shown
     pairs = pd.read_parquet(tmp_path / "b" / "pairs.parquet")
     share = pairs.groupby("backend")["success"].mean()
-    assert share["plicp"] > 0.7 and share["none"] < 0.1  # handing back the guess is found out
+    assert share["plicp"] > 0.7 and share["none"] < 0.1  # handing back the guess fails
 
 
 def test_corrected_poses_without_odometry(data_dir: Path) -> None:
     log = Carmen(str(data_dir / "corrected" / "orebro-corrected.log.gz"))
-    sample = draw(track_of(log), Plan(pairs=20, revisits=20))
-    assert sample.told["truth"] == "poses" and sample.told["guess"] == "constant_velocity"
+    sample = draw(track_of(log), CalibrationPlan(pairs=20, revisits=20))
+    assert (
+        sample.conditions["truth"] == "poses" and sample.conditions["guess"] == "constant_velocity"
+    )
     across = (sample.rows["kind"] == GAP).to_numpy()
     off = translation_norm(np.linalg.inv(sample.truth) @ sample.guess)
     assert 0.0 < np.median(off[across]) < 0.5
@@ -61,7 +63,7 @@ def test_corrected_poses_without_odometry(data_dir: Path) -> None:
 
 def test_clouds_with_truth_for_some_frames(data_dir: Path) -> None:
     frames = Kitti(str(data_dir / "kitti"), ground_truth_frames=(14, 19))
-    sample = draw(track_of(frames), Plan(pairs=10))
+    sample = draw(track_of(frames), CalibrationPlan(pairs=10))
     assert sample.rows["target"].min() == 14
     assert sample.rows.groupby("part").size().to_dict() == {"calibration": 2, "reported": 2}
     assert 1.0 < track_of(frames).reach < 100.0

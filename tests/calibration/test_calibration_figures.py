@@ -46,26 +46,26 @@ def measured(score: float | None = None) -> Measured:
 def figures(of: Measured, stand_in: bool) -> dict[str, Figure]:
     rows = [of.pairs.join(o).assign(backend=b) for b, o in of.outcomes.items()]
     with style.paper():
-        found = calibration.figures(
+        drawn = calibration.figures(
             pd.concat(rows, ignore_index=True), of.scores, summary_rows(of), roc_rows(of),
             (0.1, 2.0), stand_in, "a log",
         )  # fmt: skip
-        for _, figure in found:
+        for _, figure in drawn:
             figure.draw_without_rendering()
-    return dict(found)
+    return dict(drawn)
 
 
 def test_titles_and_panels() -> None:
-    found = figures(measured(), stand_in=False)
-    assert list(found) == ["error-mine", "success-mine", "roc_areas-gap", "roc_areas-revisit"]
-    assert all(f.get_suptitle().startswith("a log\n") for f in found.values())
-    error = found["error-mine"]
+    drawn = figures(measured(), stand_in=False)
+    assert list(drawn) == ["error-mine", "success-mine", "roc_areas-gap", "roc_areas-revisit"]
+    assert all(f.get_suptitle().startswith("a log\n") for f in drawn.values())
+    error = drawn["error-mine"]
     assert [ax.get_title() for ax in error.axes] == ["one", "two"]
     assert {ax.get_yscale() for ax in error.axes} == {"log"}
     assert error.axes[0].get_ylabel() == "translation error (m)"
-    assert [ax.get_title() for ax in found["success-mine"].axes] == ["all gaps", "at equal gap"]
-    assert [ax.get_title() for ax in found["roc_areas-gap"].axes] == ["all gaps", "equal gap"]
-    assert [ax.get_title() for ax in found["roc_areas-revisit"].axes] == ["revisits"]
+    assert [ax.get_title() for ax in drawn["success-mine"].axes] == ["all gaps", "at equal gap"]
+    assert [ax.get_title() for ax in drawn["roc_areas-gap"].axes] == ["all gaps", "equal gap"]
+    assert [ax.get_title() for ax in drawn["roc_areas-revisit"].axes] == ["revisits"]
 
 
 def test_a_perfect_score_has_area_one_and_a_line_from_0_to_1() -> None:
@@ -78,18 +78,18 @@ def test_a_perfect_score_has_area_one_and_a_line_from_0_to_1() -> None:
 
 
 def test_a_stand_in_is_not_called_an_error() -> None:
-    found = figures(measured(), stand_in=True)
-    assert found["error-mine"].axes[0].get_ylabel() == "translation contradiction (m)"
-    assert "do not contradict each other" in found["success-mine"].get_suptitle()
-    assert "agreement" in found["roc_areas-gap"].get_suptitle()
+    drawn = figures(measured(), stand_in=True)
+    assert drawn["error-mine"].axes[0].get_ylabel() == "translation contradiction (m)"
+    assert "do not contradict each other" in drawn["success-mine"].get_suptitle()
+    assert "agreement" in drawn["roc_areas-gap"].get_suptitle()
 
 
 @pytest.mark.parametrize("score", [np.nan, 0.5])
 def test_scores_that_say_nothing_are_drawn(score: float) -> None:
     of = measured(score)
-    found = figures(of, stand_in=False)
+    drawn = figures(of, stand_in=False)
     rows = roc_rows(of).query("predictor == 'mine'")
     np.testing.assert_allclose(rows["auc"], 0.5)
-    assert "error-mine" in found
+    assert "error-mine" in drawn
     undefined = summary_rows(of).query("gap == 'all' and bin == 'undefined' and backend == 'one'")
     assert undefined["n"].tolist() == ([150, 50] if np.isnan(score) else [])

@@ -1,4 +1,4 @@
-"""The knee: found where there is one, and only there."""
+"""The knee: reported where errors have one, and nowhere else."""
 
 from __future__ import annotations
 
@@ -30,34 +30,34 @@ def made(shape: str, seed: int = 0, noise: float = 0.25) -> tuple[Array, Array, 
 
 
 @pytest.mark.parametrize(("shape", "at"), [("step", 0.6), ("hinge", 0.5)])
-def test_found(shape: str, at: float) -> None:
-    found = knee(*made(shape))
-    assert found.found, found.why
-    assert found.threshold == pytest.approx(at, abs=0.06)
-    assert found.low is not None and found.high is not None
-    assert found.low <= at + 0.03 and found.high >= at - 0.03
-    assert found.gain_low is not None and found.gain_low > 0
-    assert found.why.startswith("knee at")
+def test_present(shape: str, at: float) -> None:
+    result = knee(*made(shape))
+    assert result.present, result.why
+    assert result.threshold == pytest.approx(at, abs=0.06)
+    assert result.low is not None and result.high is not None
+    assert result.low <= at + 0.03 and result.high >= at - 0.03
+    assert result.gain_low is not None and result.gain_low > 0
+    assert result.why.startswith("knee at")
 
 
 def test_the_rise_is_that_of_the_median() -> None:
-    found = knee(*made("step", noise=0.05))
-    assert found.model == "step"
-    assert found.rise == pytest.approx(10**1.3, rel=0.1)
+    result = knee(*made("step", noise=0.05))
+    assert result.model == "step"
+    assert result.rise == pytest.approx(10**1.3, rel=0.1)
 
 
 @pytest.mark.parametrize("shape", ["line", "smooth", "none"])
 @pytest.mark.parametrize("seed", range(3))
-def test_not_found_where_errors_change_gradually(shape: str, seed: int) -> None:
-    found = knee(*made(shape, seed))
-    assert not found.found, found.why
-    assert "predicts unseen errors as well" in found.why
+def test_absent_where_errors_change_gradually(shape: str, seed: int) -> None:
+    result = knee(*made(shape, seed))
+    assert not result.present, result.why
+    assert "predicts unseen errors as well" in result.why
 
 
 def test_errors_that_rise_with_similarity_are_no_knee() -> None:
-    found = knee(*made("upside down"))
-    assert not found.found
-    assert "do not rise faster below it" in found.why
+    result = knee(*made("upside down"))
+    assert not result.present
+    assert "do not rise faster below it" in result.why
 
 
 def test_not_said_for_too_little() -> None:
@@ -66,15 +66,15 @@ def test_not_said_for_too_little() -> None:
     assert "in 2 blocks" in knee(s, e, blocks % 2).why
     assert knee(np.ones(PAIRS), e, blocks).why == "cannot be said: nearly all scores are equal"
     assert knee(s, np.full(PAIRS, 0.2), blocks).why == "cannot be said: all errors are equal"
-    assert not knee(s, np.full(PAIRS, np.nan), blocks).found
+    assert not knee(s, np.full(PAIRS, np.nan), blocks).present
 
 
 def test_most_scores_alike() -> None:
-    """Every break lies above the least score, so that there are pairs below it."""
+    """Every break lies above the least score, so that some pairs are below it."""
     s, e, blocks = made("none")
-    found = knee(np.where(s < 0.3, 0.0, s), e, blocks)
-    assert not found.found
-    assert found.threshold is not None and found.threshold > 0 and found.rise is not None
+    result = knee(np.where(s < 0.3, 0.0, s), e, blocks)
+    assert not result.present
+    assert result.threshold is not None and result.threshold > 0 and result.rise is not None
     most = np.where(s < 0.97, 0.0, s)  # not even the highest break has a pair below it
     assert knee(most, e, blocks).why == "cannot be said: nearly all scores are equal"
 
@@ -84,9 +84,9 @@ def test_failures_are_large_errors_and_undefined_scores_are_left_out() -> None:
     failed, undefined = e.copy(), s.copy()
     failed[s < 0.6] = np.nan
     failed[np.flatnonzero(s < 0.6)[:10]] = 0.5
-    assert knee(s, failed, blocks).found
+    assert knee(s, failed, blocks).present
     undefined[::10] = np.nan
-    assert knee(undefined, e, blocks).found
+    assert knee(undefined, e, blocks).present
 
 
 def test_repeats() -> None:

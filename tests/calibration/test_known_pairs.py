@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
-from rbtm_bench.calibration.known_pairs import Pair, disturbed, errors_of, pairs_of, register_all
+from rbtm_bench.calibration.known_pairs import (
+    KnownPair,
+    disturbed,
+    errors_of,
+    pairs_of,
+    register_all,
+)
 from rbtm_bench.contract.scene import TinyClouds
 from rbtm_bench.core.errors import BackendError, DataError
 from rbtm_bench.core.geometry import inverse, se2, se3
@@ -82,7 +88,7 @@ def test_scans_of_two_data_sets_are_not_taken_for_each_other(corridor: Corridor)
 @pytest.mark.parametrize("planar", [True, False])
 def test_wrong_guesses_are_wrong_by_as_much_as_asked(planar: bool) -> None:
     scan = Scan(0, 0.0, np.zeros((6, 3)), planar)
-    pair = Pair(scan, scan, se3([1.0, 2.0, 0.0], np.eye(3)), None)
+    pair = KnownPair(scan, scan, se3([1.0, 2.0, 0.0], np.eye(3)), None)
     random = np.random.default_rng(0)
     guesses = [disturbed(pair, 0.5, 20.0, random) for _ in range(20)]
     off = np.array([errors_of(T, pair.T_target_source) for T in guesses])

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from rbtm_bench.calibration import measuring
-from rbtm_bench.calibration.plan import Plan
+from rbtm_bench.calibration.plan import CalibrationPlan
 from rbtm_bench.calibration.sampling import draw
 from rbtm_bench.calibration.track import track_of
 from rbtm_bench.engine import drive
@@ -43,9 +43,9 @@ def moody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 
 def test_failed_and_deadly_pairs_are_rows(moody: dict[str, Any]) -> None:
-    found = settings.compose_settings(["dataset.scans=30"])
-    data = found.config["dataset"]
-    sample = draw(track_of(build(data)), Plan(gaps=(1, 2), pairs=60))
+    composed = settings.compose_settings(["dataset.scans=30"])
+    data = composed.config["dataset"]
+    sample = draw(track_of(build(data)), CalibrationPlan(gaps=(1, 2), pairs=60))
     done: list[int] = []
     with drive.make_crew(1) as crew:
         rows = measuring.register(crew, data, moody, sample, 0, True, done.append)
@@ -62,10 +62,10 @@ def test_failed_and_deadly_pairs_are_rows(moody: dict[str, Any]) -> None:
 
 
 def test_scores_are_those_of_single_calls() -> None:
-    found = settings.compose_settings(["dataset.scans=25", "similarity=overlap"])
-    data, node = found.config["dataset"], found.config["similarity"]
+    composed = settings.compose_settings(["dataset.scans=25", "similarity=overlap"])
+    data, node = composed.config["dataset"], composed.config["similarity"]
     dataset, similarity = build(data), build(node)
-    sample = draw(track_of(dataset), Plan(gaps=(1, 3, 6), pairs=20))
+    sample = draw(track_of(dataset), CalibrationPlan(gaps=(1, 3, 6), pairs=20))
     target, source = (sample.rows[c].to_numpy() for c in ("target", "source"))
     with drive.make_crew(1) as crew:
         scores = measuring.score(
@@ -82,9 +82,11 @@ def test_scores_are_those_of_single_calls() -> None:
 
 
 def test_the_same_bits_with_one_process_and_with_two() -> None:
-    found = settings.compose_settings(["dataset.scans=60", "backend=open3d_p2plane"])
-    data, node = found.config["dataset"], found.config["backend"]
-    sample = draw(track_of(build(data)), Plan(gaps=(1, 6), pairs=40, disturb=(0.05, 2.0)))
+    composed = settings.compose_settings(["dataset.scans=60", "backend=open3d_p2plane"])
+    data, node = composed.config["dataset"], composed.config["backend"]
+    sample = draw(
+        track_of(build(data)), CalibrationPlan(gaps=(1, 6), pairs=40, disturb=(0.05, 2.0))
+    )
     several = []
     for jobs in (1, 2):
         with drive.make_crew(jobs) as crew:

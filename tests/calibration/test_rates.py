@@ -10,43 +10,43 @@ from rbtm_bench.calibration.rates import bins_of, quantiles, rate, wilson
 
 
 def test_wilson_as_scipy() -> None:
-    found = wilson(0.8, 25)
+    bounds = wilson(0.8, 25)
     expected = binomtest(20, 25).proportion_ci(method="wilson")
-    assert found == pytest.approx((expected.low, expected.high))
+    assert bounds == pytest.approx((expected.low, expected.high))
     assert wilson(1.0, 9.0, z=1.0) == pytest.approx((0.9, 1.0))  # n / (n + z^2)
 
 
 def test_independent_pairs_count_as_they_are() -> None:
     # blocks of one pair: variance n/(n-1) p(1-p)/n, hence n - 1 effective pairs
-    found = rate([True] * 15 + [False] * 5, np.arange(20))
-    assert (found.value, found.n, found.blocks) == (0.75, 20, 20)
-    assert found.effective == pytest.approx(19.0)
-    assert (found.low, found.high) == pytest.approx(wilson(0.75, 19.0))
+    share = rate([True] * 15 + [False] * 5, np.arange(20))
+    assert (share.value, share.n, share.blocks) == (0.75, 20, 20)
+    assert share.effective == pytest.approx(19.0)
+    assert (share.low, share.high) == pytest.approx(wilson(0.75, 19.0))
 
 
 def test_blocks_that_agree_count_as_one_pair_each() -> None:
     success, blocks = np.repeat([True, True, True, False], 10), np.repeat(np.arange(4), 10)
-    found = rate(success, blocks)
-    assert (found.value, found.effective) == (0.75, pytest.approx(3.0))
-    assert found.high - found.low > 2 * np.diff(wilson(0.75, 40))[0]
+    share = rate(success, blocks)
+    assert (share.value, share.effective) == (0.75, pytest.approx(3.0))
+    assert share.high - share.low > 2 * np.diff(wilson(0.75, 40))[0]
 
 
 def test_all_alike_cannot_count_more_than_the_blocks() -> None:
-    found = rate([True] * 30, np.arange(30) // 10)
-    assert (found.value, found.effective) == (1.0, 3.0)
-    assert found.low == pytest.approx(wilson(1.0, 3.0)[0]) and found.high == 1.0
-    assert found.cautious == pytest.approx(0.75)
+    share = rate([True] * 30, np.arange(30) // 10)
+    assert (share.value, share.effective) == (1.0, 3.0)
+    assert share.low == pytest.approx(wilson(1.0, 3.0)[0]) and share.high == 1.0
+    assert share.cautious == pytest.approx(0.75)
 
 
 def test_weights() -> None:
-    found = rate([True, False, True], [0, 1, 2], weights=[1.0, 3.0, 0.0])
-    assert (found.value, found.n, found.blocks) == (0.25, 2, 2)
+    share = rate([True, False, True], [0, 1, 2], weights=[1.0, 3.0, 0.0])
+    assert (share.value, share.n, share.blocks) == (0.25, 2, 2)
 
 
 def test_nothing() -> None:
-    found = rate([], [])
-    assert np.isnan(found.value) and (found.low, found.high, found.n) == (0.0, 1.0, 0)
-    assert found.cautious == 0.0
+    share = rate([], [])
+    assert np.isnan(share.value) and (share.low, share.high, share.n) == (0.0, 1.0, 0)
+    assert share.cautious == 0.0
 
 
 def test_bins_hold_equally_many_and_all() -> None:

@@ -13,9 +13,9 @@ from rbtm_bench.calibration.roc import area, percentiles, ranks_within, resample
 
 def test_by_hand() -> None:
     # successes 3, 1; failures 2, 1: 3 beats both, 1 loses to 2 and ties with 1: (2 + 0 + 0.5) / 4
-    found = area([3, 1, 2, 1], [True, True, False, False], [0, 1, 2, 3])
-    assert found.value == 0.625
-    assert (found.successes, found.failures, found.couples, found.blocks) == (2, 2, 4, 4)
+    ours = area([3, 1, 2, 1], [True, True, False, False], [0, 1, 2, 3])
+    assert ours.value == 0.625
+    assert (ours.successes, ours.failures, ours.couples, ours.blocks) == (2, 2, 4, 4)
 
 
 def test_an_undefined_score_is_the_lowest() -> None:
@@ -33,8 +33,8 @@ def test_at_equal_gap_only_couples_of_one_stratum_count() -> None:
 
 
 def test_nothing_to_compare() -> None:
-    found = area([1.0, 2.0], [True, True], [0, 1])
-    assert np.isnan(found.value) and found.low is None and found.couples == 0
+    ours = area([1.0, 2.0], [True, True], [0, 1])
+    assert np.isnan(ours.value) and ours.low is None and ours.couples == 0
     apart = area([1.0, 2.0], [True, False], [0, 1], strata=[0, 1])
     assert np.isnan(apart.value)
     assert np.isnan(area([], [], []).value)
@@ -48,9 +48,9 @@ def test_as_mann_and_whitney(seed: int) -> None:
     good = random.random(40) < 0.5
     good[:2] = True, False
     u = mannwhitneyu(scores[good], scores[~good]).statistic
-    found = area(scores, good, np.arange(40))
-    assert found.value == pytest.approx(u / (good.sum() * (~good).sum()))
-    assert area(-scores, good, np.arange(40)).value == pytest.approx(1 - found.value)
+    ours = area(scores, good, np.arange(40))
+    assert ours.value == pytest.approx(u / (good.sum() * (~good).sum()))
+    assert area(-scores, good, np.arange(40)).value == pytest.approx(1 - ours.value)
 
 
 def test_blocks_that_repeat_themselves_are_no_more_information() -> None:
@@ -77,8 +77,8 @@ def test_difference_of_two_scores_of_the_same_pairs() -> None:
 
 
 def test_few_blocks_have_no_interval() -> None:
-    found = area([1.0, 0.0, 2.0, 1.0], [True, False, True, False], [0, 0, 1, 1])
-    assert found.value == 0.875 and found.low is None
+    ours = area([1.0, 0.0, 2.0, 1.0], [True, False, True, False], [0, 0, 1, 1])
+    assert ours.value == 0.875 and ours.low is None
     assert percentiles(np.full(10, np.nan)) == (None, None)
 
 

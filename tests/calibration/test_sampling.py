@@ -16,7 +16,7 @@ from rbtm_bench.calibration.parts import (
     parts_of,
     stretches,
 )
-from rbtm_bench.calibration.plan import Plan
+from rbtm_bench.calibration.plan import CalibrationPlan
 from rbtm_bench.calibration.reference import known_motions
 from rbtm_bench.calibration.sampling import GAP, REVISIT, Sample, draw
 from rbtm_bench.calibration.track import Track
@@ -43,29 +43,29 @@ def scans_of(sample: Sample, part: str) -> set[int]:
 
 @pytest.mark.parametrize("split", ["time", "blocks"])
 def test_the_parts_share_no_scan(split: str) -> None:
-    sample = draw(track(), Plan(split=split, block_s=25.0, gaps=(1, 5, 10)))
+    sample = draw(track(), CalibrationPlan(split=split, block_s=25.0, gaps=(1, 5, 10)))
     assert scans_of(sample, CALIBRATION).isdisjoint(scans_of(sample, REPORTED))
     assert {CALIBRATION, REPORTED} == set(sample.rows["part"])
 
 
 def test_the_cut_is_in_time_whatever_the_order_of_the_scans() -> None:
     shuffled = replace(track(), stamps=np.random.default_rng(0).permutation(100).astype(float))
-    part = parts_of(shuffled.stamps, np.ones(100, bool), Plan())
+    part = parts_of(shuffled.stamps, np.ones(100, bool), CalibrationPlan())
     assert (part == (shuffled.stamps >= 50)).all()
 
 
 def test_scans_without_a_true_pose_are_of_no_part() -> None:
     poses = line(20)
     poses[:14] = np.nan
-    part = parts_of(np.arange(20.0), track(poses).known, Plan())
+    part = parts_of(np.arange(20.0), track(poses).known, CalibrationPlan())
     assert part.tolist() == [-1] * 14 + [0, 0, 0, 1, 1, 1]
-    sample = draw(track(poses), Plan())
+    sample = draw(track(poses), CalibrationPlan())
     assert sample.rows["target"].min() == 14
     assert np.isfinite(sample.truth).all()
 
 
 def test_every_gap_has_the_same_new_scans() -> None:
-    sample = draw(track(), Plan(gaps=(1, 3, 8), pairs=20, revisits=0))
+    sample = draw(track(), CalibrationPlan(gaps=(1, 3, 8), pairs=20, revisits=0))
     for part in (CALIBRATION, REPORTED):
         rows = sample.rows[sample.rows["part"] == part]
         assert rows.groupby("gap").size().to_dict() == {1: 10, 3: 10, 8: 10}
@@ -77,18 +77,18 @@ def test_every_gap_has_the_same_new_scans() -> None:
 
 
 def test_gaps_end_where_scans_no_longer_see_each_other() -> None:
-    sample = draw(track(reach=0.65), Plan())
+    sample = draw(track(reach=0.65), CalibrationPlan())
     assert sorted(set(sample.rows["gap"])) == [1, 2, 3, 4, 6]
     with pytest.raises(DataError, match="no scan of each part has 60 others"):
-        draw(track(), Plan(gaps=(1, 60)))
+        draw(track(), CalibrationPlan(gaps=(1, 60)))
     with pytest.raises(DataError, match="a calibration needs more scans"):
-        draw(track(line(2)), Plan())
+        draw(track(line(2)), CalibrationPlan())
 
 
 def test_revisits_are_near_in_space_and_far_along_the_path() -> None:
-    there = line(60, 0.5)
-    poses = np.concatenate([there, there[::-1], there, there[::-1]])
-    sample = draw(track(poses, odometry=None), Plan(revisits=40, gaps=(1, 2)))
+    out = line(60, 0.5)
+    poses = np.concatenate([out, out[::-1], out, out[::-1]])
+    sample = draw(track(poses, odometry=None), CalibrationPlan(revisits=40, gaps=(1, 2)))
     again = sample.rows[sample.rows["kind"] == REVISIT]
     assert len(again) == 40 and set(again["part"]) == {CALIBRATION, REPORTED}
     assert (again["travelled_m"] >= 10.0).all()
@@ -101,17 +101,17 @@ def test_revisits_are_near_in_space_and_far_along_the_path() -> None:
 
 
 def test_the_same_seed_draws_the_same() -> None:
-    there = line(60, 0.5)
-    poses = np.concatenate([there, there[::-1]] * 2)
-    first, again, other = (draw(track(poses), Plan(seed=seed)) for seed in (0, 0, 1))
+    out = line(60, 0.5)
+    poses = np.concatenate([out, out[::-1]] * 2)
+    first, again, other = (draw(track(poses), CalibrationPlan(seed=seed)) for seed in (0, 0, 1))
     assert first.rows.equals(again.rows) and not first.rows.equals(other.rows)
     np.testing.assert_array_equal(first.guess, again.guess)
 
 
 def test_guess_is_odometry_where_there_is_some() -> None:
     odometry = line(step=0.11)
-    sample = draw(track(odometry=odometry), Plan(gaps=(5,)))
-    assert sample.told["guess"] == "odometry"
+    sample = draw(track(odometry=odometry), CalibrationPlan(gaps=(5,)))
+    assert sample.conditions["guess"] == "odometry"
     np.testing.assert_allclose(translation_norm(sample.guess), 0.55)
     np.testing.assert_allclose(sample.rows["distance_m"], 0.55)
 
@@ -134,9 +134,9 @@ def test_disturbances_have_their_size_in_space_too() -> None:
 
 
 def test_without_truth_every_guess_is_wrong_and_a_scan_lies_between() -> None:
-    sample = draw(replace(track(odometry=line()), truth=None), Plan(gaps=(1, 4)))
-    assert sample.truth is None and sample.told["truth"] == "none"
-    assert sample.told["disturbed"] == "0.2 m and 5 deg"
+    sample = draw(replace(track(odometry=line()), truth=None), CalibrationPlan(gaps=(1, 4)))
+    assert sample.truth is None and sample.conditions["truth"] == "none"
+    assert sample.conditions["disturbed"] == "0.2 m and 5 deg"
     gap4 = (sample.rows["gap"] == 4).to_numpy()
     np.testing.assert_array_equal(sample.middle[gap4], sample.rows["target"][gap4] + 2)
     assert (sample.middle[~gap4] == -1).all()
@@ -145,21 +145,21 @@ def test_without_truth_every_guess_is_wrong_and_a_scan_lies_between() -> None:
 
 
 @pytest.mark.parametrize(
-    ("plan", "said"),
+    ("plan", "message"),
     [
-        (Plan(truth="relations"), "no relations; it has poses, none"),
-        (Plan(guess="odometry"), "this data set has no odometry"),
-        (Plan(truth="none", guess="truth"), "no truth is known"),
-        (Plan(truth="none", guess="constant_velocity"), "needs a true pose a scan"),
+        (CalibrationPlan(truth="relations"), "no relations; it has poses, none"),
+        (CalibrationPlan(guess="odometry"), "this data set has no odometry"),
+        (CalibrationPlan(truth="none", guess="truth"), "no truth is known"),
+        (CalibrationPlan(truth="none", guess="constant_velocity"), "needs a true pose a scan"),
     ],
 )
-def test_what_a_data_set_cannot_give(plan: Plan, said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
+def test_what_a_data_set_cannot_give(plan: CalibrationPlan, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
         draw(track(), plan)
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         ({"gaps": (0,)}, "--gaps"),
         ({"gaps": ()}, "--gaps"),
@@ -172,9 +172,9 @@ def test_what_a_data_set_cannot_give(plan: Plan, said: str) -> None:
         ({"block_s": 0.0}, "--block 0"),
     ],
 )
-def test_options_out_of_range(options: dict, said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
-        Plan(**options)
+def test_options_out_of_range(options: dict, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        CalibrationPlan(**options)
 
 
 def relations(pairs: list[tuple[float, float]], step: float = 0.1) -> Relations:
@@ -184,30 +184,30 @@ def relations(pairs: list[tuple[float, float]], step: float = 0.1) -> Relations:
 
 def test_relations_in_a_row_are_one_motion() -> None:
     given = relations([(0, 3), (3, 5), (5, 9), (20, 22), (40, 99)])
-    found = known_motions(track(), given, chain=3)
-    links = {(t, s): n for t, s, n in zip(found.target, found.source, found.links, strict=True)}
+    known = known_motions(track(), given, chain=3)
+    links = {(t, s): n for t, s, n in zip(known.target, known.source, known.links, strict=True)}
     assert links == {
         (0, 3): 1, (3, 5): 1, (5, 9): 1, (20, 22): 1, (40, 99): 1,
         (0, 5): 2, (3, 9): 2, (0, 9): 3,
     }  # fmt: skip
     np.testing.assert_allclose(
-        found.T_target_source[:, 0, 3], 0.1 * (found.source - found.target), atol=1e-12
+        known.T_target_source[:, 0, 3], 0.1 * (known.source - known.target), atol=1e-12
     )
-    assert found.local.tolist().count(False) == 1
+    assert known.local.tolist().count(False) == 1
     assert len(known_motions(track(), given, chain=1).target) == 5
 
 
 def test_relations_backwards_and_of_no_scan() -> None:
-    found = known_motions(track(), relations([(9, 5), (0.5, 3), (4, 4)]), chain=4)
-    assert (found.target.tolist(), found.source.tolist(), found.unmatched) == ([5], [9], 2)
-    assert found.T_target_source[0, 0, 3] == pytest.approx(0.4)
+    known = known_motions(track(), relations([(9, 5), (0.5, 3), (4, 4)]), chain=4)
+    assert (known.target.tolist(), known.source.tolist(), known.unmatched) == ([5], [9], 2)
+    assert known.T_target_source[0, 0, 3] == pytest.approx(0.4)
 
 
 def test_relations_that_cross_the_cut_are_of_no_part() -> None:
     given = relations([*((i, i + 2) for i in range(0, 98, 2)), (1, 45), (51, 97), (10, 90)])
     long_track = replace(track(odometry=line()), truth=None, relations=given)
-    sample = draw(long_track, Plan(chain=2))
-    assert sample.told["truth"] == "relations"
+    sample = draw(long_track, CalibrationPlan(chain=2))
+    assert sample.conditions["truth"] == "relations"
     assert sample.counts["relations that cross the cut"] == 2  # 48 to 50, 10 to 90
     assert scans_of(sample, CALIBRATION).isdisjoint(scans_of(sample, REPORTED))
     assert sorted(set(sample.rows[sample.rows["kind"] == GAP]["group"])) == [2, 4]
@@ -221,7 +221,7 @@ def test_a_local_relation_does_not_span_a_block_of_the_other_part() -> None:
     inside = [(i, i + 1) for i in range(0, 98, 2)]
     given = relations([*over, *inside])
     log = replace(track(odometry=line()), truth=None, relations=given)
-    sample = draw(log, Plan(split="blocks", block_s=2.0))
+    sample = draw(log, CalibrationPlan(split="blocks", block_s=2.0))
     assert sample.counts["relations that cross the cut"] == len(over)
     rows = sample.rows
     assert len(rows) > 0 and (rows["source"] - rows["target"] == 1).all()

@@ -29,11 +29,11 @@ def test_basins_of_simulated_scans(
         for m in ("0.0", "0.5")
         for d in ("0.0", "40.0")
     ]
-    found = {
+    success = {
         (r["backend"], r["guess_off_m"], r["guess_off_deg"]): float(r["success"]) for r in rows
     }
-    assert found["open3d_p2plane", "0.0", "0.0"] == 1.0  # from the truth, 0.12 m apart
-    assert found["hsm", "0.5", "40.0"] == found["hsm", "0.0", "0.0"]  # it is global
+    assert success["open3d_p2plane", "0.0", "0.0"] == 1.0  # from the truth, 0.12 m apart
+    assert success["hsm", "0.5", "40.0"] == success["hsm", "0.0", "0.0"]  # it is global
     shown = capsys.readouterr().out
     assert "3 pairs, found: within 0.1 m and 2 deg of the truth" in shown
     assert str(tmp_path / "basin.png") in shown and (tmp_path / "basin.pdf").stat().st_size > 0

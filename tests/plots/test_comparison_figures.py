@@ -147,10 +147,10 @@ def test_boxes_show_quartiles_extremes_runs_and_n(tmp_path: Path) -> None:
     (box,) = figure.axes[0].patches
     corners = box.get_path().vertices[:, 0]
     assert (corners.min(), corners.max()) == (20.0, 40.0)
-    found = [list(line.get_xdata()) for line in figure.axes[0].lines]
-    assert [30.0, 30.0] in found  # the median
-    assert [20.0, 10.0] in found and [40.0, 70.0] in found  # whiskers
-    assert errors in found and [50.0] * 3 in found  # the runs
+    drawn = [list(line.get_xdata()) for line in figure.axes[0].lines]
+    assert [30.0, 30.0] in drawn  # the median
+    assert [20.0, 10.0] in drawn and [40.0, 70.0] in drawn  # whiskers
+    assert errors in drawn and [50.0] * 3 in drawn  # the runs
     words = texts(figure)
     assert (
         "n runs a method" in words

@@ -67,20 +67,20 @@ def hatches(figure: Figure) -> list[str]:
     return [patch.get_hatch() for patch in patches if patch.get_hatch()]
 
 
-# --- what there is to draw
+# --- what can be drawn
 
 
 def test_cells_are_medians_over_seeds_of_the_runs_that_are_done(tmp_path: Path) -> None:
     for seed, error in enumerate((10.0, 70.0, 20.0)):
         make_run(tmp_path / f"a{seed}", error, seed=seed, window=4, threshold=0.5)
-    for seed, found in enumerate((40.0, None)):
-        make_run(tmp_path / f"b{seed}", found, seed=seed, window=8, threshold=0.5)
+    for seed, error in enumerate((40.0, None)):
+        make_run(tmp_path / f"b{seed}", error, seed=seed, window=8, threshold=0.5)
     make_run(tmp_path / "c", None, window=4, threshold=0.6)
     (study,) = studies(read(tmp_path))
     assert (study.stem, study.axes, study.unit) == ("corridor", ("window", "threshold"), "mm")
     (panel,) = study.panels
-    found = {place: (c.median, c.known, c.runs) for place, c in panel.cells.items() if c.known}
-    assert found == {(4.0, 0.5): (20.0, 3, 3), (8.0, 0.5): (40.0, 1, 2)}
+    cells = {place: (c.median, c.known, c.runs) for place, c in panel.cells.items() if c.known}
+    assert cells == {(4.0, 0.5): (20.0, 3, 3), (8.0, 0.5): (40.0, 1, 2)}
     assert panel.cells[4.0, 0.6].known == 0 and (8.0, 0.6) not in panel.cells
     assert panel.best == 20.0 and panel.control is None
     with style.paper():

@@ -60,9 +60,9 @@ def test_of_many_settings_lines_show_the_first_of_every_selector(tmp_path: Path)
 
 def test_logs_are_named_by_their_files(tmp_path: Path) -> None:
     runs = [make_run(tmp_path / name, data={"path": f"logs/{name}.clf.gz"}) for name in "ab"]
-    found = groups.data_sets(runs)
-    assert [data.stem for data in found] == ["corridor-a", "corridor-b"]
-    assert [data.name.split("\N{NO-BREAK SPACE}")[1] for data in found] == ["(a)", "(b)"]
+    named = groups.data_sets(runs)
+    assert [data.stem for data in named] == ["corridor-a", "corridor-b"]
+    assert [data.name.split("\N{NO-BREAK SPACE}")[1] for data in named] == ["(a)", "(b)"]
 
 
 def test_methods_differ_without_colour() -> None:
@@ -89,12 +89,12 @@ def test_paths_lie_upon_the_truth_from_the_same_first_pose(tmp_path: Path) -> No
     ]
     (figure,) = trajectories.draw(data_of(*runs))
     (ax,) = figure.axes
-    found = lines(figure)
+    drawn = lines(figure)
     for name, factor in (("previous", 0.9), ("rbtm, window\N{NO-BREAK SPACE}4", 1.1)):
-        assert np.allclose(found[name].get_xydata(), scaled(factor)[:, :2, 3])
+        assert np.allclose(drawn[name].get_xydata(), scaled(factor)[:, :2, 3])
     truth = next(line for line in ax.lines if line.get_linewidth() == looks.TRUTH["lw"])
     assert np.allclose(truth.get_xydata(), TURN[:, :2, 3])
-    assert truth.get_zorder() < min(line.get_zorder() for line in found.values())
+    assert truth.get_zorder() < min(line.get_zorder() for line in drawn.values())
     guess = next(line for line in ax.lines if line.get_color() == looks.GUESS["color"])
     assert np.allclose(guess.get_xydata(), scaled(0.5)[:, :2, 3])
     assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_aspect()) == ("x (m)", "y (m)", 1.0)
@@ -182,7 +182,7 @@ def test_lines_are_medians_and_bands_hold_all_seeds(tmp_path: Path) -> None:
     assert corners.max() == pytest.approx(1e3 * 0.5 * away.max())
     assert "median of 3 seeds" in texts(figure) and "smallest to largest" in texts(figure)
     runs += [make_run(tmp_path / f"w{w}", window=w) for w in (2, 3, 4)]
-    (figure,) = growth.draw(data_of(*runs))  # four methods: bands could not be told apart
+    (figure,) = growth.draw(data_of(*runs))  # four methods: bands would not stay distinct
     assert not figure.axes[0].collections and "smallest to largest" not in texts(figure)
 
 
@@ -225,10 +225,10 @@ def test_relations_are_binned_by_span_local_and_long_apart(tmp_path: Path) -> No
     spans_s = np.concatenate([np.full(20, 1.0), np.full(20, -9.0), np.full(25, 3600.0)])
     errors = np.concatenate([np.full(20, 0.01), np.full(20, 0.03), np.full(25, 2.0)])
     errors[-1] = np.nan  # an end without a pose: not used
-    found = spans.curve(with_relations(tmp_path / "r", errors, spans_s))
-    assert found is not None
-    assert found.span.tolist() == [1.0, 9.0, 3600.0]
-    assert found.error.tolist() == [0.01, 0.03, 2.0]
+    curve = spans.curve(with_relations(tmp_path / "r", errors, spans_s))
+    assert curve is not None
+    assert curve.span.tolist() == [1.0, 9.0, 3600.0]
+    assert curve.error.tolist() == [0.01, 0.03, 2.0]
 
 
 def test_relation_errors_are_drawn_with_the_guess(tmp_path: Path) -> None:

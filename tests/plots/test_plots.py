@@ -1,4 +1,4 @@
-"""Figures from small run folders written here: which files appear, and that they show something."""
+"""Figures from small run folders: which files appear, and that they show something."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def make_run(
 
 
 def stems(files: list[Path]) -> set[str]:
-    """The figures' names; every one is there as PNG and as PDF."""
+    """The figures' names; every one exists as PNG and as PDF."""
     assert all(file.is_file() for file in files)
     png, pdf = ({f.stem for f in files if f.suffix == end} for end in (".png", ".pdf"))
     assert png == pdf and len(files) == 2 * len(png)
@@ -156,8 +156,8 @@ def test_failed_and_running_runs_are_left_out(tmp_path: Path):
         make_run(tmp_path / "open", "fixed_gap", status="started"),
     ]
     files = plots.draw(runs, tmp_path / "figures")
-    found = {"good-map", "good-gap", "good-similarity", "errors", "corridor-error_over_path"}
-    assert stems(files) == found
+    expected = {"good-map", "good-gap", "good-similarity", "errors", "corridor-error_over_path"}
+    assert stems(files) == expected
     figure = methods.errors(runs)
     assert figure is not None
     assert "2 of 3 runs are not done" in texts(figure) and "no result" in texts(figure)
@@ -282,8 +282,8 @@ def test_pairs_never_mix_data_sets_and_say_what_else_differs(tmp_path: Path):
         for i, log in enumerate(logs)
         for selector in ("previous", "rbtm")
     ]
-    found = pairs.standard_and_rbtm(runs)
-    assert [p.stem for p in found] == ["carmen-open3d_p2p-aces", "carmen-open3d_p2p-intel"]
+    of_logs = pairs.standard_and_rbtm(runs)
+    assert [p.stem for p in of_logs] == ["carmen-open3d_p2p-aces", "carmen-open3d_p2p-intel"]
     assert not pairs.standard_and_rbtm([runs[0], runs[3]])
     gated = make_run(tmp_path / "gated", "rbtm", dataset=logs[0], check="gated")
     assert pairs.standard_and_rbtm([*runs, gated])[0].rbtm is runs[1]
@@ -339,8 +339,8 @@ def test_a_sweep_with_too_many_settings_has_a_row_a_selector(tmp_path: Path):
 def test_names_that_are_alike_get_their_parents(tmp_path: Path):
     runs = [make_run(tmp_path / a / b / "0") for a in "xy" for b in "pq"]
     runs += [make_run(tmp_path / "x" / "other")]
-    found = labels.stems(runs)
-    assert [found[run] for run in runs] == ["x-p-0", "x-q-0", "y-p-0", "y-q-0", "other"]
+    stem_of = labels.stems(runs)
+    assert [stem_of[run] for run in runs] == ["x-p-0", "x-q-0", "y-p-0", "y-q-0", "other"]
 
 
 def test_drawn_gaps_are_named_after_their_run(tmp_path: Path):
@@ -379,6 +379,6 @@ def test_steps_of_an_older_version_are_drawn_without_localizability(tmp_path: Pa
     run = make_run(tmp_path / "old")
     path = run.path / "steps.parquet"
     pq.write_table(pq.read_table(path).drop_columns(["localizability_min"]), path)
-    found = folder.read_steps(run)
-    assert found is not None and np.isnan(found.held).all() and len(found.scan) > 1
+    table = folder.read_steps(run)
+    assert table is not None and np.isnan(table.held).all() and len(table.scan) > 1
     assert steps.gaps(run) is not None

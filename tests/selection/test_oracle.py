@@ -11,7 +11,7 @@ import pytest
 from loop_helpers import Perfect, Script, drive, method, rows, true_pose
 from step_helpers import assert_same, steps
 
-from rbtm_bench.calibration.known_pairs import Pair, register_all
+from rbtm_bench.calibration.known_pairs import KnownPair, register_all
 from rbtm_bench.calibration.measuring import _Kept
 from rbtm_bench.cli.commands import main
 from rbtm_bench.contract.scene import TinyClouds
@@ -205,7 +205,7 @@ def test_nor_does_a_backend_in_a_study_of_pairs() -> None:
             return super().prepare(scan)
 
     target, source = driven(2)
-    pair = Pair(target, source, inverse(target.ground_truth) @ source.ground_truth, None)
+    pair = KnownPair(target, source, inverse(target.ground_truth) @ source.ground_truth, None)
     (outcome,) = register_all(Blindfolded(), [pair], [np.eye(4)])
     assert outcome.metres == pytest.approx(0.0, abs=1e-12)
 

@@ -1,4 +1,4 @@
-"""Campaigns: what is there stays, what failed is told, other versions' runs go."""
+"""Campaigns: runs that exist stay, failed ones are reported, other versions' runs go."""
 
 from __future__ import annotations
 

@@ -47,10 +47,10 @@ def test_every_log_backend_and_way_has_a_row(made: tuple[Path, str]) -> None:
     expected = [("none", "none"), *((BACKEND, way) for way in ways)]
     expected += [("kiss_icp_system", "kiss_icp_system")]
     for log in ("ACES", "Intel", "MIT CSAIL"):
-        here = table[table["log"] == log]
-        assert list(zip(here["backend"], here["way"], strict=True)) == expected
+        rows = table[table["log"] == log]
+        assert list(zip(rows["backend"], rows["way"], strict=True)) == expected
         others = ", ".join(x for x in ("ACES", "Intel", "MIT CSAIL") if x != log)
-        assert set(here[here["backend"] == BACKEND]["chosen_on"]) == {others}
+        assert set(rows[rows["backend"] == BACKEND]["chosen_on"]) == {others}
     assert list(table["tried"]) == [1, 4, 4, 4, 4, 4] * 3
     assert set(table["status"]) == {"done"}
 
@@ -160,8 +160,8 @@ def test_ratio_over_backends_by_hand() -> None:
     ones = errors_of([1.0] * 4)
     # 2 and 8 times: 4 in the geometric mean; the same in every cluster, so no spread
     pairs = [[errors_of([2.0] * 4), ones], [errors_of([8.0] * 4), ones]]
-    found = numbers.geometric_ratio(pairs, "long")
-    assert (found.value, found.low, found.high, found.n) == pytest.approx((4, 4, 4, 4))
+    ratio = numbers.geometric_ratio(pairs, "long")
+    assert (ratio.value, ratio.low, ratio.high, ratio.n) == pytest.approx((4, 4, 4, 4))
     assert numbers.geometric_ratio(pairs, "local").value == pytest.approx(1.0)
     whole = numbers.geometric_ratio(pairs)  # of means (2 + .5) / 1.5 and (8 + .5) / 1.5, by 2
     assert whole.value == pytest.approx(math.sqrt(2.5 / 1.5 * 8.5 / 1.5)) and whole.n == 8
@@ -169,17 +169,17 @@ def test_ratio_over_backends_by_hand() -> None:
 
 def test_ratio_spreads_with_its_clusters() -> None:
     ours = [1.0, 1.0, 1.0, 1.0, 1.0, 13.0]
-    found = numbers.geometric_ratio([[errors_of(ours), errors_of([1.0] * 6)]], "long")
+    ratio = numbers.geometric_ratio([[errors_of(ours), errors_of([1.0] * 6)]], "long")
     # the bad cluster is not drawn with (5/6)^6 = 33%, four times or more with 0.9%
-    assert found.value == pytest.approx(3.0) and found.low == 1.0 and found.high == pytest.approx(7)
-    assert not found.excludes(2.0) and found.excludes(0.99)
+    assert ratio.value == pytest.approx(3.0) and ratio.low == 1.0 and ratio.high == pytest.approx(7)
+    assert not ratio.excludes(2.0) and ratio.excludes(0.99)
 
 
 def test_ratio_over_relations_that_all_have() -> None:
     ones = errors_of([1.0] * 4)
     gap = errors_of([math.nan, 3.0, 3.0, 3.0])
-    found = numbers.geometric_ratio([[gap, ones], [ones, errors_of([9.0, 1.0, 1.0, 1.0])]], "long")
-    assert found.value == pytest.approx(math.sqrt(3.0)) and found.n == 3
+    ratio = numbers.geometric_ratio([[gap, ones], [ones, errors_of([9.0, 1.0, 1.0, 1.0])]], "long")
+    assert ratio.value == pytest.approx(math.sqrt(3.0)) and ratio.n == 3
     assert math.isnan(numbers.geometric_ratio([]).value)
     assert math.isnan(numbers.geometric_ratio([[errors_of([math.nan]), ones]][:0]).value)
 
@@ -216,14 +216,14 @@ def test_verdicts_and_words_by_hand(hand: Path) -> None:
     differences = numbers.differences(chosen, ["plicp"])
     whole = differences[differences["relations"] == "long"].set_index(["log", "control"])
     verdicts = whole["verdict"].to_dict()
-    assert [verdicts["ACES", c] for c in numbers.CONTROLS] == ["better", "better", "", ""]
-    assert [verdicts["Intel", c] for c in numbers.CONTROLS] == ["better", "worse", "", ""]
+    assert [verdicts["ACES", c] for c in numbers.CONTROL_WAYS] == ["better", "better", "", ""]
+    assert [verdicts["Intel", c] for c in numbers.CONTROL_WAYS] == ["better", "worse", "", ""]
     assert whole.loc[("ACES", "previous"), "ratio"] == 0.5
-    found = words.Found(table, differences, numbers.pooled(chosen, ["plicp"]), TRANSFER)
+    results = words.FreiburgTables(table, differences, numbers.pooled(chosen, ["plicp"]), TRANSFER)
     medians, why = words.medians(table)
     assert "4.75 (0.5, 9)" in medians and "1.25 (0.5, 2)" in medians
     assert "fixed gap 0.5 m" in why
-    lines = words.comparison(found)
+    lines = words.comparison(results)
     first, previous, keyframe, gap = lines[0].splitlines()
     assert "of 3 pairs of log and backend RBTM is better on 3, worse on 0" in first
     assert "better on 1, worse on 2, not told apart on 0" in previous
@@ -233,7 +233,7 @@ def test_verdicts_and_words_by_hand(hand: Path) -> None:
 
 
 def test_what_choosing_elsewhere_costs(hand: Path) -> None:
-    for log in ("aces", "intel"):  # the second try is best here, the first one elsewhere
+    for log in ("aces", "intel"):  # the second try is best on this log, the first one elsewhere
         path = hand / f"{log}-plicp-rbtm-2" / "metrics.json"
         metrics = json.loads(path.read_text())
         best = json.loads((hand / f"{log}-plicp-rbtm-1" / "metrics.json").read_text())
@@ -260,9 +260,9 @@ def test_failed_runs_are_rows_marked_failed(hand: Path) -> None:
     assert (row["status"], row["reason"]) == ("failed", "out of memory")
     assert math.isnan(row["mean_m"])
     differences = numbers.differences(chosen, ["plicp"])
-    here = differences[differences["log"] == "Intel"]
-    assert here["ratio"].isna().all() and set(here["verdict"]) == {""}
-    found = words.Found(table, differences, numbers.pooled(chosen, ["plicp"]), TRANSFER)
-    page = words.readme(found, plan.Size(("plicp",)), "command", {"numpy": "2"})
+    rows = differences[differences["log"] == "Intel"]
+    assert rows["ratio"].isna().all() and set(rows["verdict"]) == {""}
+    results = words.FreiburgTables(table, differences, numbers.pooled(chosen, ["plicp"]), TRANSFER)
+    page = words.readme(results, plan.FreiburgSize(("plicp",)), "command", {"numpy": "2"})
     assert "Failed: Intel plicp rbtm (out of memory)." in page
     assert "of 2 pairs of log and backend" in page

@@ -92,14 +92,14 @@ def test_kitti_is_scored_on_the_trusted_frames_alone(tmp_path: Path) -> None:
     paths = {"kiss_icp": far, "open3d_p2p": turned, "small_gicp_icp": off}
     runs = [_run(tmp_path, backend, path) for backend, path in paths.items()]
     trusted = {k: truth[k] for k in range(14, 20)}
-    found = reference.cloud_rows(runs, trusted).set_index("backend")
-    assert found["error_m"].to_list() == pytest.approx([0.5, 0.5, 0.5])
-    assert found["step_error_m"].to_list() == pytest.approx([0.1, 0.1, 0.1])
-    assert found["error_deg"].to_list() == pytest.approx([0.0, 10.0, 0.0], abs=1e-6)
-    assert found.loc["open3d_p2p", "step_error_deg"] == pytest.approx(2.0)
-    assert found.loc["kiss_icp", "distance_before_m"] == pytest.approx(15.4)
-    assert found.loc["small_gicp_icp", "distance_before_m"] == pytest.approx(8.4)
-    assert found["from_median_before_m"].to_list() == pytest.approx([0.0, 0.0, 0.0])
+    rows = reference.cloud_rows(runs, trusted).set_index("backend")
+    assert rows["error_m"].to_list() == pytest.approx([0.5, 0.5, 0.5])
+    assert rows["step_error_m"].to_list() == pytest.approx([0.1, 0.1, 0.1])
+    assert rows["error_deg"].to_list() == pytest.approx([0.0, 10.0, 0.0], abs=1e-6)
+    assert rows.loc["open3d_p2p", "step_error_deg"] == pytest.approx(2.0)
+    assert rows.loc["kiss_icp", "distance_before_m"] == pytest.approx(15.4)
+    assert rows.loc["small_gicp_icp", "distance_before_m"] == pytest.approx(8.4)
+    assert rows["from_median_before_m"].to_list() == pytest.approx([0.0, 0.0, 0.0])
 
 
 def test_kitti_needs_all_frames(tmp_path: Path) -> None:
@@ -124,19 +124,19 @@ def _run(folder: Path, backend: str, T: np.ndarray) -> Run:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({}, "run scripts/reproduce_paper.py first"),
         ({"shown_on": "seed=0-4"}, "not of a full run"),
         ({"backend": "open3d_p2p"}, "not of a full run"),
     ],
 )
-def test_paper_takes_a_full_run_only(change: dict[str, str], said: str, tmp_path: Path) -> None:
+def test_paper_takes_a_full_run_only(change: dict[str, str], message: str, tmp_path: Path) -> None:
     if change:
         (tmp_path / "runs").mkdir()
         (tmp_path / "runs" / reference.STAMP).write_text('{"versions": {"numpy": "1"}}')
         committed("paper_table1").assign(ms_per_scan=1.0, **change).to_csv(tmp_path / "table1.csv")
-    with pytest.raises(reference.DataError, match=said):
+    with pytest.raises(reference.DataError, match=message):
         reference.paper_files(tmp_path / "out", tmp_path)
     assert not (tmp_path / "out").exists()
 

@@ -68,8 +68,8 @@ def test_shares_of_a_log_resample_clusters() -> None:
     def log(value: float) -> numbers.Errors:
         return numbers.Errors(np.full(50, value), clusters, np.zeros(50, bool), median=False)
 
-    found = numbers.share(log(4.0), log(3.0), log(2.0))
-    assert (found.value, found.low, found.high, found.n) == (0.5, 0.5, 0.5, 10)
+    share = numbers.share(log(4.0), log(3.0), log(2.0))
+    assert (share.value, share.low, share.high, share.n) == (0.5, 0.5, 0.5, 10)
 
 
 def test_the_pooled_share_is_of_logarithms() -> None:
@@ -79,15 +79,15 @@ def test_the_pooled_share_is_of_logarithms() -> None:
         class place:  # noqa: N801
             kind = plan.simulated(1, 1)[0].kind
 
-    def outcome(values: list[float]) -> numbers.Outcome:
-        return numbers.Outcome(One, 1, "", [], len(values), seeds(values))
+    def outcome(values: list[float]) -> numbers.TryOutcome:
+        return numbers.TryOutcome(One, 1, "", [], len(values), seeds(values))
 
-    found = {}
+    outcomes = {}
     for place, scale in (("a", 1.0), ("b", 1000.0)):
-        found[place, "p", "random_gap"] = outcome([16.0 * scale] * 4)
-        found[place, "p", "rbtm"] = outcome([8.0 * scale] * 4)
-        found[place, "p", "oracle"] = outcome([1.0 * scale] * 4)
-    over = numbers.pooled_share(found, "rbtm")
+        outcomes[place, "p", "random_gap"] = outcome([16.0 * scale] * 4)
+        outcomes[place, "p", "rbtm"] = outcome([8.0 * scale] * 4)
+        outcomes[place, "p", "oracle"] = outcome([1.0 * scale] * 4)
+    over = numbers.pooled_share(outcomes, "rbtm")
     assert (over.value, over.low, over.high, over.n) == (
         pytest.approx(0.25), pytest.approx(0.25), pytest.approx(0.25), 4,
     )  # fmt: skip
@@ -99,11 +99,11 @@ def straight(n: int, step: float) -> Array:
 
 def test_segments_compare_the_motion_over_ten_metres() -> None:
     truth, estimate = straight(31, 1.0), straight(31, 1.01)
-    found = numbers.segments(estimate, truth)
-    assert len(found.values) == 21  # the last ten have no end 10 m further
-    assert np.allclose(found.values, 0.1)
-    assert found.clusters.tolist() == [0] * 20 + [1]
-    assert found.value == pytest.approx(0.1)
+    errors = numbers.segments(estimate, truth)
+    assert len(errors.values) == 21  # the last ten have no end 10 m further
+    assert np.allclose(errors.values, 0.1)
+    assert errors.clusters.tolist() == [0] * 20 + [1]
+    assert errors.value == pytest.approx(0.1)
     with pytest.raises(DataError, match="a true way of 9 m: expected more than 10 m"):
         numbers.segments(straight(10, 1.0), straight(10, 1.0))
 
@@ -122,15 +122,15 @@ def test_a_side_with_failed_runs_is_not_called_better() -> None:
     assert ours.lacks(theirs) and not theirs.lacks(ours)
     assert theirs.beside(ours) == pytest.approx(2.045)  # over the seeds that both have
 
-    def outcome(name: str, errors: numbers.Errors) -> numbers.Outcome:
-        return numbers.Outcome(None, 4, "", [], 20, errors)
+    def outcome(name: str, errors: numbers.Errors) -> numbers.TryOutcome:
+        return numbers.TryOutcome(None, 4, "", [], 20, errors)
 
-    found = {("a", "p", "rbtm"): outcome("rbtm", ours)}
-    found["a", "p", "keyframe"] = outcome("keyframe", theirs)
-    (row,) = numbers.against(found).to_dict("records")
+    outcomes = {("a", "p", "rbtm"): outcome("rbtm", ours)}
+    outcomes["a", "p", "keyframe"] = outcome("keyframe", theirs)
+    (row,) = numbers.against(outcomes).to_dict("records")
     assert row["difference"] < 0 and row["p_holm"] < 0.05 and row["holds"] == ""
-    found["a", "p", "rbtm"] = outcome("rbtm", seeds([1.0] * 20))
-    (row,) = numbers.against(found).to_dict("records")
+    outcomes["a", "p", "rbtm"] = outcome("rbtm", seeds([1.0] * 20))
+    (row,) = numbers.against(outcomes).to_dict("records")
     assert row["holds"] == "better"
 
 
@@ -139,14 +139,14 @@ def test_a_side_with_failed_runs_is_not_called_better() -> None:
 
 def test_every_strategy_has_equally_many_tries_and_chance_draws_rbtm_s_gaps() -> None:
     place = plan.simulated(1, 1)[0]
-    found = list(plan.tries(place, ("open3d_p2p",)))
-    counts = pd.Series([one.strategy for one in found]).value_counts()
+    tries = list(plan.tries(place, ("open3d_p2p",)))
+    counts = pd.Series([one.strategy for one in tries]).value_counts()
     assert all(counts[strategy] == 4 for strategy in plan.STRATEGIES)
     assert all(counts[bound] == 1 for bound in (*plan.BOUNDS, "none"))
-    stems = {one.stem for one in found if one.strategy == "rbtm"}
-    chance = [one for one in found if one.strategy == "random_gap"]
+    stems = {one.stem for one in tries if one.strategy == "rbtm"}
+    chance = [one for one in tries if one.strategy == "random_gap"]
     assert {one.source for one in chance} == stems
-    overlap = next(one for one in found if one.strategy == "random_gap_overlap")
+    overlap = next(one for one in tries if one.strategy == "random_gap_overlap")
     assert overlap.source == "paper-open3d_p2p-rbtm_overlap-1"
     (point,) = plan.points(chance[0], (3,))
     assert point.gaps_of == f"{chance[0].source}-3"

@@ -100,9 +100,9 @@ def test_the_smallest_error_was_chosen_and_is_shown(made: tuple[Path, str]) -> N
 
 def test_random_gap_draws_the_gaps_of_rbtm_on_the_same_seed(made: tuple[Path, str]) -> None:
     for seed, count in ((0, 1), (100, 4)):
-        found = list((made[0] / "runs").glob(f"random_gap-*-open3d_p2p-{seed}"))
-        assert len(found) == count
-        for folder in found:
+        folders = list((made[0] / "runs").glob(f"random_gap-*-open3d_p2p-{seed}"))
+        assert len(folders) == count
+        for folder in folders:
             run = tables.read_run(folder)
             source = Path(run.config["selector"]["gaps_from"]).name
             assert source == folder.name.replace("random_gap", "circular")
@@ -147,7 +147,7 @@ def test_a_second_call_makes_nothing_anew(made: tuple[Path, str]) -> None:
     out, _ = made
     before = (out / "table1.csv").read_bytes()
     changed = (out / "runs" / "standard-1-open3d_p2p-100" / "run.json").stat().st_mtime_ns
-    (out / "runs" / "circular-1-ndt_2d-100" / "run.json").unlink()  # as if cut there
+    (out / "runs" / "circular-1-ndt_2d-100" / "run.json").unlink()  # as if cut at it
     code, text = call(out)
     assert code == 0 and "1 runs made" in text
     assert (out / "table1.csv").read_bytes() == before
@@ -155,7 +155,7 @@ def test_a_second_call_makes_nothing_anew(made: tuple[Path, str]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("--backends", "psm"), "must hold open3d_p2p"),
         (("--backends", "open3d_p2p,nonsense"), "nonsense"),
@@ -165,11 +165,11 @@ def test_a_second_call_makes_nothing_anew(made: tuple[Path, str]) -> None:
     ],
 )
 def test_mistakes_are_one_line(
-    words: tuple[str, ...], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert command.main([*words, "--out", str(tmp_path)]) == 2
     error = capsys.readouterr().err
-    assert said in error and len(error.splitlines()) == 1
+    assert message in error and len(error.splitlines()) == 1
 
 
 def test_seeds_that_choose_are_never_shown() -> None:
@@ -199,9 +199,9 @@ def run_of(name: str, error: float, **metrics: Any) -> Run:
 def test_ratio_is_the_median_of_what_a_seed_gives() -> None:
     above = [run_of(f"a-{k}", e) for k, e in enumerate((10.0, 40.0, 90.0, 5.0))]
     below = [run_of(f"b-{k}", e) for k, e in ((2, 30.0), (0, 5.0), (1, 10.0), (9, 1.0))]
-    found = tables.ratio_of(above, below)
-    assert found is not None and found.n == 3  # seed 9 has no partner, seed 3 neither
-    assert found.value == 3.0  # of 2, 4 and 3
+    ratio = tables.ratio_of(above, below)
+    assert ratio is not None and ratio.n == 3  # seed 9 has no partner, seed 3 neither
+    assert ratio.value == 3.0  # of 2, 4 and 3
     assert tables.ratio_of(above, [run_of("b-9", 1.0)]) is None
 
 
@@ -221,8 +221,8 @@ def table_of(medians: dict[str, float], p: dict[str, float]) -> pd.DataFrame:
 def test_better_and_worse_only_where_the_test_holds() -> None:
     medians = {"circular": 5.0, "fixed_gap": 9.0, "keyframe": 1.0, "oldest": 8.0, "random_gap": 2.0}
     table = table_of(medians, {"fixed_gap": 0.01, "keyframe": 0.04, "oldest": 0.2})
-    found = tables.against_controls(table).set_index("control")["verdict"]
-    assert found.to_dict() == {
+    verdicts = tables.against_controls(table).set_index("control")["verdict"]
+    assert verdicts.to_dict() == {
         "fixed_gap": "better", "keyframe": "worse", "oldest": "", "random_gap": ""
     }  # fmt: skip
     (row,) = tables.by_backend(table).to_dict("records")
@@ -233,14 +233,14 @@ def test_better_and_worse_only_where_the_test_holds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("fired", "said"),
+    ("fired", "phrase"),
     [
         (0, "**it never fires**"),
         (3, "**it all but never fires** (1.5%"),
         (150, "it fires on 75.0%"),
     ],
 )
-def test_the_literal_descriptor_is_judged_by_its_fallbacks(fired: int, said: str) -> None:
+def test_the_literal_descriptor_is_judged_by_its_fallbacks(fired: int, phrase: str) -> None:
     choices = pd.DataFrame(
         [
             {"way": way, "backend": "open3d_p2p", "setting": "threshold 0.2", "fired": fired,
@@ -252,7 +252,7 @@ def test_the_literal_descriptor_is_judged_by_its_fallbacks(fired: int, said: str
            "median_error_mm": 500.0, "standard_over_this": 0.5}  # fmt: skip
     table = pd.DataFrame([{**row, "way": way} for way in ("literal", "literal_clean")])
     noisy, clean = findings.literal_fires(choices, table)
-    assert said in noisy and "2 times larger than the standard way's" in noisy
+    assert phrase in noisy and "2 times larger than the standard way's" in noisy
     assert noisy.startswith("With 10 mm noise") and clean.startswith("Without noise")
 
 

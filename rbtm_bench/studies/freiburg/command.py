@@ -28,15 +28,22 @@ from rbtm_bench.runs import stored
 from rbtm_bench.runs.stored import Run
 from rbtm_bench.studies.campaign import Campaign, begin
 from rbtm_bench.studies.freiburg import numbers
-from rbtm_bench.studies.freiburg.plan import NOTHING, SLOW, SYSTEM, Plan, find_logs, make_size
-from rbtm_bench.studies.freiburg.words import Found, final_lines, markdown, readme
+from rbtm_bench.studies.freiburg.plan import (
+    NOTHING,
+    SLOW,
+    SYSTEM,
+    FreiburgPlan,
+    find_logs,
+    make_size,
+)
+from rbtm_bench.studies.freiburg.words import FreiburgTables, final_lines, markdown, readme
 from rbtm_bench.studies.options import data_folder, make_parser
 
 OUT = Path("results/freiburg")
 
 
-def make_runs(plan: Plan, folder: Path, jobs: int) -> Campaign:
-    """All runs that are not there yet, log by log; the slowest backends last."""
+def make_runs(plan: FreiburgPlan, folder: Path, jobs: int) -> Campaign:
+    """All runs that are still missing, log by log; the slowest backends last."""
     fast = [name for name in plan.size.backends if name not in SLOW]
     slow = [name for name in plan.size.backends if name in SLOW]
     with drive.make_crew(jobs) as crew:
@@ -47,8 +54,8 @@ def make_runs(plan: Plan, folder: Path, jobs: int) -> Campaign:
     return maker
 
 
-def read_runs(plan: Plan, folder: Path) -> list[Run]:
-    """The plan's runs in its order, failed ones too. Raises ``DataError`` for one not there."""
+def read_runs(plan: FreiburgPlan, folder: Path) -> list[Run]:
+    """The plan's runs in its order, failed ones too. Raises ``DataError`` for a missing one."""
     names = [NOTHING, SYSTEM, *plan.size.backends]
     points = [point for log in plan.logs for point in plan.points(log, names)]
     missing = [p.name for p in points if not (folder / p.name / "run.json").is_file()]
@@ -57,14 +64,14 @@ def read_runs(plan: Plan, folder: Path) -> list[Run]:
     return [stored.read_run(folder / point.name) for point in points]
 
 
-def write(found: Found, page: str, out: Path) -> list[Path]:
+def write(results: FreiburgTables, page: str, out: Path) -> list[Path]:
     """The page and the tables; returns the files."""
     texts = {
-        "table.csv": found.table.to_csv(index=False),
-        "differences.csv": found.differences.to_csv(index=False),
-        "pooled.csv": found.pooled.to_csv(index=False),
-        "transfer.csv": found.transfer.to_csv(index=False),
-        "table.md": markdown(found.table) + "\n",
+        "table.csv": results.table.to_csv(index=False),
+        "differences.csv": results.differences.to_csv(index=False),
+        "pooled.csv": results.pooled.to_csv(index=False),
+        "transfer.csv": results.transfer.to_csv(index=False),
+        "table.md": markdown(results.table) + "\n",
         "README.md": page,
     }
     for name, text in texts.items():
@@ -72,14 +79,14 @@ def write(found: Found, page: str, out: Path) -> list[Path]:
     return [out / name for name in texts]
 
 
-def write_reference(found: Found, page: str, folder: Path) -> None:
+def write_reference(results: FreiburgTables, page: str, folder: Path) -> None:
     """The page and a small table to be committed."""
     make_folder(folder)
     write_text(folder / "freiburg.md", page)
-    write_text(folder / "freiburg.csv", numbers.small(found.table).to_csv(index=False))
+    write_text(folder / "freiburg.csv", numbers.small(results.table).to_csv(index=False))
 
 
-def study(plan: Plan, options: argparse.Namespace, command: str) -> int:
+def study(plan: FreiburgPlan, options: argparse.Namespace, command: str) -> int:
     """Everything in order; the last thing printed are the counts of RBTM against its controls."""
     started = time.perf_counter()
     folder = options.out / "runs"
@@ -92,21 +99,21 @@ def study(plan: Plan, options: argparse.Namespace, command: str) -> int:
         print(f"{maker.made} runs made in {spent:.1f} min, {options.jobs} side by side")
     runs = read_runs(plan, folder)
     chosen = numbers.choose(runs)
-    found = Found(
+    results = FreiburgTables(
         numbers.table(chosen),
         numbers.differences(chosen, plan.size.backends),
         numbers.pooled(chosen, plan.size.backends),
         numbers.transfer(chosen, runs),
     )
     versions = runs[0].record.get("versions") or sweep_folder.versions()
-    files = write(found, readme(found, plan.size, command, versions), options.out)
+    files = write(results, readme(results, plan.size, command, versions), options.out)
     if options.reference:
-        page = readme(found, plan.size, command, versions, times=False)
-        write_reference(found, page, options.reference)
+        page = readme(results, plan.size, command, versions, times=False)
+        write_reference(results, page, options.reference)
     print("\n".join(map(str, files)))
     for name, reason in failed.items():
         print(f"failed: {name}: {reason}", file=sys.stderr)
-    print("\n".join(final_lines(found)))
+    print("\n".join(final_lines(results)))
     return 1 if failed else 0
 
 
@@ -129,6 +136,6 @@ def main(words: Sequence[str] | None = None) -> int:
     def call() -> int:
         logs = find_logs(data_folder(options))
         size = make_size(options.quick, options.backends, options.max_scans)
-        return study(Plan(size, logs), options, command_of(options))
+        return study(FreiburgPlan(size, logs), options, command_of(options))
 
     return guarded(call, options.debug)

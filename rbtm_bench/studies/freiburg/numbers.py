@@ -30,7 +30,7 @@ ERRORS = {
 PLAIN = ("coverage", "mean_gap", "ms_per_scan")
 WITHIN = {"mean_m": "all", "local_m": "local", "long_m": "long"}
 """The errors that methods are compared by."""
-CONTROLS = (NOTHING, *(way.selector for way in WAYS if way.selector != "rbtm"))
+CONTROL_WAYS = (NOTHING, *(way.selector for way in WAYS if way.selector != "rbtm"))
 ORDER = (NOTHING, *(way.selector for way in WAYS), SYSTEM)
 
 SETTINGS = {
@@ -54,12 +54,12 @@ def log_of(run: Run) -> str:
 def choose(runs: Sequence[Run]) -> dict[Key, MethodRuns]:
     """Of every log, backend and way the setting that did best on the other logs."""
     logs = {str(method.row["data"]): log_of(method.runs[0]) for method in frame.methods(runs)}
-    found: dict[Key, MethodRuns] = {}
+    chosen: dict[Key, MethodRuns] = {}
     for method in held_out.leave_one_out(runs):
         backend = str(method.row["backend"])
         way = backend if backend in (NOTHING, SYSTEM) else str(method.row["selector"])
-        found[logs[method.row["data"]], backend, way] = method
-    return dict(sorted(found.items(), key=lambda item: _rank(item[0])))
+        chosen[logs[method.row["data"]], backend, way] = method
+    return dict(sorted(chosen.items(), key=lambda item: _rank(item[0])))
 
 
 def _rank(key: Key) -> tuple[Any, ...]:
@@ -91,11 +91,13 @@ def table(chosen: Mapping[Key, MethodRuns]) -> pd.DataFrame:
         row["status"] = _status(method)
         units = Units(method)
         for name, metric in ERRORS.items():
-            found = units.estimate(metric, "mean")
-            row[name] = found.value if found else math.nan
-            row[f"{name}_low"] = math.nan if not found or found.low is None else found.low
-            row[f"{name}_high"] = math.nan if not found or found.high is None else found.high
-            row[f"{name}_n"] = found.n if found else 0
+            estimate = units.estimate(metric, "mean")
+            row[name] = estimate.value if estimate else math.nan
+            row[f"{name}_low"] = math.nan if not estimate or estimate.low is None else estimate.low
+            row[f"{name}_high"] = (
+                math.nan if not estimate or estimate.high is None else estimate.high
+            )
+            row[f"{name}_n"] = estimate.n if estimate else 0
         row |= {name: method.row.get(name) for name in PLAIN}
         row["reason"] = (
             method.runs[0].record.get("reason") if method.runs else "no number to choose by"
@@ -123,10 +125,10 @@ def transfer(chosen: Mapping[Key, MethodRuns], runs: Sequence[Run]) -> pd.DataFr
             {
                 "log": LOGS[log],
                 "way": way,
-                "backends": len(found),
-                "times": math.exp(np.mean(found)),
+                "backends": len(logarithms),
+                "times": math.exp(np.mean(logarithms)),
             }
-            for (log, way), found in logs.items()
+            for (log, way), logarithms in logs.items()
         ],
         columns=["log", "way", "backends", "times"],
     )
@@ -138,11 +140,11 @@ SMALL = ("log", "backend", "way", "setting", "tried", "equal", "chosen_on", "sta
 def small(table: pd.DataFrame) -> pd.DataFrame:
     """The table with four digits, without times: they depend on the machine's mood."""
     names = [c for c in table if str(c).startswith(tuple(ERRORS)) or c in ("coverage", "mean_gap")]
-    found = table[[*SMALL, *names]].copy()
+    rounded = table[[*SMALL, *names]].copy()
     for name in (name for name in names if not str(name).endswith("_n")):
-        values = found[name].astype(float)
-        found[name] = [v if math.isnan(v) else float(f"{v:.4g}") for v in values]
-    return found
+        values = rounded[name].astype(float)
+        rounded[name] = [v if math.isnan(v) else float(f"{v:.4g}") for v in values]
+    return rounded
 
 
 def _status(method: MethodRuns) -> str:
@@ -155,16 +157,16 @@ def differences(chosen: Mapping[Key, MethodRuns], backends: Iterable[str]) -> pd
     else "": and nothing where either has failed."""
     rows = []
     units = {key: Units(method) for key, method in chosen.items()}
-    for log, backend, control in [(g, b, c) for g in LOGS for b in backends for c in CONTROLS]:
+    for log, backend, control in [(g, b, c) for g in LOGS for b in backends for c in CONTROL_WAYS]:
         ours, theirs = _pair(log, backend, control)
         for name, which in WITHIN.items():
             row: dict[str, Any] = {"log": LOGS[log], "backend": backend, "control": control}
             row["relations"] = which
-            there = ours in units and theirs in units
-            found = units[ours].minus(units[theirs], ERRORS[name]) if there else None
-            over = found.interval if found else Interval(math.nan, None, None, 0)
-            row |= {"rbtm_m": found.error if found else math.nan}
-            row |= {"control_m": found.reference if found else math.nan}
+            both_known = ours in units and theirs in units
+            difference = units[ours].minus(units[theirs], ERRORS[name]) if both_known else None
+            over = difference.interval if difference else Interval(math.nan, None, None, 0)
+            row |= {"rbtm_m": difference.error if difference else math.nan}
+            row |= {"control_m": difference.reference if difference else math.nan}
             row |= {"ratio": _ratio(row["rbtm_m"], row["control_m"]), "difference_m": over.value}
             row |= {"low": _number(over.low), "high": _number(over.high), "n": over.n}
             row["verdict"] = ("better" if over.value < 0 else "worse") if over.excludes(0) else ""
@@ -201,7 +203,7 @@ def pooled(chosen: Mapping[Key, MethodRuns], backends: Iterable[str]) -> pd.Data
     """Over all backends: the geometric mean of RBTM's mean relation error over the control's, on
     every log, with a percentile interval over its clusters (drawn within local and long)."""
     rows = []
-    for log, control in [(g, c) for g in LOGS for c in CONTROLS]:
+    for log, control in [(g, c) for g in LOGS for c in CONTROL_WAYS]:
         pairs = []
         for backend in backends:
             keys = _pair(log, backend, control)
@@ -211,11 +213,11 @@ def pooled(chosen: Mapping[Key, MethodRuns], backends: Iterable[str]) -> pd.Data
             ):
                 pairs.append([RelationErrors.read(r[0].path / FILE) for r in runs])
         for which in WITHIN.values():
-            found = geometric_ratio(pairs, which)
+            ratio = geometric_ratio(pairs, which)
             row: dict[str, Any] = {"log": LOGS[log], "control": control, "relations": which}
-            row |= {"ratio": found.value, "low": _number(found.low), "high": _number(found.high)}
-            row |= {"clusters": found.n, "backends": len(pairs)}
-            row["verdict"] = ("better" if found.value < 1 else "worse") if found.excludes(1) else ""
+            row |= {"ratio": ratio.value, "low": _number(ratio.low), "high": _number(ratio.high)}
+            row |= {"clusters": ratio.n, "backends": len(pairs)}
+            row["verdict"] = ("better" if ratio.value < 1 else "worse") if ratio.excludes(1) else ""
             rows.append(row)
     return pd.DataFrame(rows)
 

@@ -28,7 +28,7 @@ so that the tries of a backend share what they have in common."""
 
 
 @dataclass(frozen=True)
-class Way:
+class FreiburgWay:
     """A way to choose the model scan; it may choose among the ``values`` of ``knob``."""
 
     selector: str
@@ -43,17 +43,17 @@ WINDOW = 21
 
 WAYS = (
     # The scan before has nothing of its own to choose, so it gets the matcher's distance (m).
-    Way("previous", "registration.max_correspondence_distance", (0.2, 0.3, 0.5, 1.0)),
-    Way("keyframe", "selector.distance", (0.2, 0.3, 0.5, 1.0)),
-    Way("fixed_gap", "selector.gap", (2, 5, 10, 20)),
-    Way("rbtm", "selector.threshold", (0.6, 0.7, 0.8, 0.9), (f"selector.window={WINDOW}",)),
+    FreiburgWay("previous", "registration.max_correspondence_distance", (0.2, 0.3, 0.5, 1.0)),
+    FreiburgWay("keyframe", "selector.distance", (0.2, 0.3, 0.5, 1.0)),
+    FreiburgWay("fixed_gap", "selector.gap", (2, 5, 10, 20)),
+    FreiburgWay("rbtm", "selector.threshold", (0.6, 0.7, 0.8, 0.9), (f"selector.window={WINDOW}",)),
 )
-OF_SYSTEM = Way("", "backend.voxel_size", (0.1, 0.2, 0.5, 1.0))
+OF_SYSTEM = FreiburgWay("", "backend.voxel_size", (0.1, 0.2, 0.5, 1.0))
 """KISS-ICP's whole odometry: it has its own map instead of a model scan."""
 
 
 @dataclass(frozen=True)
-class Size:
+class FreiburgSize:
     """How much is run. ``max_scans`` of each log, None: all."""
 
     backends: tuple[str, ...]
@@ -61,19 +61,19 @@ class Size:
     left_out: tuple[str, ...] = ()
 
 
-def make_size(quick: bool, backends: str | None, max_scans: int | None) -> Size:
-    """A size from the command line. Raises ``ConfigError`` for a backend that is not there."""
-    there = planar_backends()
-    chosen = tuple(backends.split(",")) if backends else QUICK_BACKENDS if quick else there
+def make_size(quick: bool, backends: str | None, max_scans: int | None) -> FreiburgSize:
+    """A size from the command line. Raises ``ConfigError`` for a backend that is not installed."""
+    installed = planar_backends()
+    chosen = tuple(backends.split(",")) if backends else QUICK_BACKENDS if quick else installed
     for name in chosen:
-        if name not in there:
+        if name not in installed:
             raise ConfigError(
-                f"--backends {name}: no installed planar backend. Known: {', '.join(there)}"
+                f"--backends {name}: no installed planar backend. Known: {', '.join(installed)}"
             )
     if max_scans is not None and max_scans < 2:
         raise ConfigError(f"--max-scans {max_scans}: expected at least 2")
-    left_out = tuple(name for name in there if name not in chosen)
-    return Size(chosen, max_scans or (QUICK_SCANS if quick else None), left_out)
+    left_out = tuple(name for name in installed if name not in chosen)
+    return FreiburgSize(chosen, max_scans or (QUICK_SCANS if quick else None), left_out)
 
 
 def find_logs(folder: Path | None) -> dict[str, tuple[Path, Path]]:
@@ -87,37 +87,39 @@ def find_logs(folder: Path | None) -> dict[str, tuple[Path, Path]]:
         )
     if not folder.is_dir():
         raise DataError(f"--data {folder}: no such folder")
-    here = folder / "freiburg" if (folder / "freiburg").is_dir() else folder
-    found, missing = {}, []
+    logs_folder = folder / "freiburg" if (folder / "freiburg").is_dir() else folder
+    logs, missing = {}, []
     for name in LOGS:
-        log = next((f for end in LOG_ENDS if (f := here / f"{name}{end}").is_file()), None)
-        relations = here / f"{name}.relations"
+        log = next((f for end in LOG_ENDS if (f := logs_folder / f"{name}{end}").is_file()), None)
+        relations = logs_folder / f"{name}.relations"
         missing += [] if log else [f"{name}.clf.gz"]
         missing += [] if relations.is_file() else [relations.name]
         if log:
-            found[name] = (log, relations)
+            logs[name] = (log, relations)
     if missing:
-        raise DataError(f"{here}: lacks {', '.join(missing)} (docs/data.md says where they are)")
-    return found
+        raise DataError(
+            f"{logs_folder}: lacks {', '.join(missing)} (docs/data.md says where they are)"
+        )
+    return logs
 
 
-class Plan:
+class FreiburgPlan:
     """The runs of all logs. Settings are composed on the first log only: Hydra takes 0.2 s each."""
 
-    def __init__(self, size: Size, logs: dict[str, tuple[Path, Path]]) -> None:
+    def __init__(self, size: FreiburgSize, logs: dict[str, tuple[Path, Path]]) -> None:
         self.size, self.logs = size, logs
         self._known: dict[str, list[tuple[str, Settings]]] = {}
 
     def points(self, log: str, backends: Iterable[str]) -> list[Point]:
         """The runs of some backends (and ``NOTHING`` and ``SYSTEM``) on a log. Those that follow
         one another differ in their way, so that workers side by side seldom want the same pair."""
-        found = []
+        points = []
         for backend in backends:
             if backend not in self._known:
                 self._known[backend] = list(self._compose(backend))
             for stem, settings in self._known[backend]:
-                found.append(Point(f"{log}-{stem}", _on(settings, self.logs[log])))
-        return found
+                points.append(Point(f"{log}-{stem}", _on(settings, self.logs[log])))
+        return points
 
     def _compose(self, backend: str) -> Iterator[tuple[str, Settings]]:
         if backend == NOTHING:
@@ -140,7 +142,7 @@ class Plan:
         return [point.settings for point in make_points([*COMMON, *data, *words])[0]]
 
 
-def stem_of(backend: str, way: Way, k: int) -> str:
+def stem_of(backend: str, way: FreiburgWay, k: int) -> str:
     """The name of a run without its log: backend, selector, number of the try."""
     return "-".join(filter(None, [backend, way.selector, str(k + 1)]))
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import pandas as pd
 
 from rbtm_bench.report import render, with_intervals
-from rbtm_bench.studies.freiburg.numbers import CONTROLS
+from rbtm_bench.studies.freiburg.numbers import CONTROL_WAYS
 from rbtm_bench.studies.freiburg.plan import (
     LOGS,
     NOTHING,
@@ -18,7 +18,7 @@ from rbtm_bench.studies.freiburg.plan import (
     SYSTEM,
     WAYS,
     WINDOW,
-    Size,
+    FreiburgSize,
 )
 
 MARKS = {"better": " (+)", "worse": " (-)", "": ""}
@@ -31,7 +31,7 @@ CONTROL_WORDS = {
 
 
 @dataclass(frozen=True)
-class Found:
+class FreiburgTables:
     """All numbers: see ``freiburg_numbers``."""
 
     table: pd.DataFrame
@@ -41,29 +41,29 @@ class Found:
 
 
 def readme(
-    found: Found,
-    size: Size,
+    results: FreiburgTables,
+    size: FreiburgSize,
     command: str,
     versions: Mapping[str, str | None],
     times: bool = True,
 ) -> str:
-    """The page: what was compared, what was found, the whole table (with or without times), and
+    """The page: what was compared, what came of it, the whole table (with or without times), and
     how it was made."""
     parts = [
         "# The Freiburg logs: which model scan?",
         *_setup(size),
         "## Medians over backends",
-        *medians(found.table),
+        *medians(results.table),
         "## RBTM against each control",
-        *comparison(found),
+        *comparison(results),
         "## By backend",
         _legend(),
-        *_by_backend(found.differences),
+        *_by_backend(results.differences),
         "## What choosing elsewhere costs",
-        *_transfer(found.transfer),
+        *_transfer(results.transfer),
         "## All rows",
-        *_about_rows(found.table, times),
-        markdown(found.table, times),
+        *_about_rows(results.table, times),
+        markdown(results.table, times),
         "## What this does not show",
         *_limits(),
         f"Made by `{command}`. {_versions(versions)}",
@@ -76,7 +76,7 @@ def _versions(versions: Mapping[str, str | None]) -> str:
     return f"Versions: {', '.join(known)}."
 
 
-def _setup(size: Size) -> list[str]:
+def _setup(size: FreiburgSize) -> list[str]:
     tries = [
         f"- `{way.selector}`: {way.knob} {', '.join(f'{v:g}' for v in way.values)}" for way in WAYS
     ]
@@ -106,14 +106,14 @@ def _setup(size: Size) -> list[str]:
 def medians(table: pd.DataFrame) -> list[str]:
     """The errors of each way as medians over backends, and why local errors differ as they do."""
     rows = []
-    for way, here in table.groupby("way", sort=False):
-        row: dict[str, object] = {"way": way, "backends": here["backend"].nunique()}
+    for way, group in table.groupby("way", sort=False):
+        row: dict[str, object] = {"way": way, "backends": group["backend"].nunique()}
         for log in LOGS.values():
-            numbers = here[here["log"] == log][["mean_m", "local_m", "long_m"]].median()
+            numbers = group[group["log"] == log][["mean_m", "local_m", "long_m"]].median()
             words = ["" if math.isnan(x) else render.three_digits(x) for x in numbers]
             row[f"{log}: mean (local, long) m"] = f"{words[0]} ({words[1]}, {words[2]})"
         rows.append(row)
-    ways = {way: here["local_m"].median() for way, here in table.groupby("way")}
+    ways = {way: group["local_m"].median() for way, group in table.groupby("way")}
     lines = [render.render(pd.DataFrame(rows), "md")]
     if not any(math.isnan(ways.get(w, math.nan)) for w in ("previous", "fixed_gap", "rbtm")):
         previous, gap, rbtm = (
@@ -130,20 +130,20 @@ def medians(table: pd.DataFrame) -> list[str]:
     return lines
 
 
-def comparison(found: Found) -> list[str]:
+def comparison(results: FreiburgTables) -> list[str]:
     """How often RBTM is better than each control, and by how much over all backends."""
     lines = []
-    whole = found.differences[found.differences["relations"] == "all"]
-    for control in CONTROLS:
-        here = whole[(whole["control"] == control) & whole["ratio"].notna()]
-        if here.empty:
+    whole = results.differences[results.differences["relations"] == "all"]
+    for control in CONTROL_WAYS:
+        rows = whole[(whole["control"] == control) & whole["ratio"].notna()]
+        if rows.empty:
             continue
-        better, worse = ((here["verdict"] == v).sum() for v in ("better", "worse"))
-        rest = len(here) - better - worse
+        better, worse = ((rows["verdict"] == v).sum() for v in ("better", "worse"))
+        rest = len(rows) - better - worse
         lines.append(
-            f"- **{CONTROL_WORDS[control]}**: of {len(here)} pairs of log and backend RBTM is "
+            f"- **{CONTROL_WORDS[control]}**: of {len(rows)} pairs of log and backend RBTM is "
             f"better on {better}, worse on {worse}, not told apart on {rest}. "
-            f"{_over_backends(found.pooled, control)}"
+            f"{_over_backends(results.pooled, control)}"
         )
     counted = whole[whole["ratio"].notna()]
     tests = int(counted["low"].notna().sum())
@@ -155,16 +155,16 @@ def comparison(found: Found) -> list[str]:
         "docs/statistics.md): of single ones expect one in six to exclude 0 by chance. Three "
         "logs are three data sets: too few for a test over logs.",
         _sentence(whole),
-        *_kinds(found.pooled),
+        *_kinds(results.pooled),
     ]
 
 
 def _over_backends(pooled: pd.DataFrame, control: str, relations: str = "all") -> str:
     """The ratios over all backends, log by log."""
-    here = pooled[(pooled["control"] == control) & (pooled["relations"] == relations)]
+    rows = pooled[(pooled["control"] == control) & (pooled["relations"] == relations)]
     parts = [
         f"{row.log} {_interval(row.ratio, row.low, row.high)}{MARKS[row.verdict]}"
-        for row in here.itertuples()
+        for row in rows.itertuples()
         if not math.isnan(row.ratio)
     ]
     return f"Error of RBTM over the control's, geometric mean over backends: {'; '.join(parts)}."
@@ -180,9 +180,9 @@ def _interval(value: float, low: float, high: float) -> str:
 def _sentence(whole: pd.DataFrame) -> str:
     """On how many backends RBTM is better, or worse, than a control on every log."""
     parts = []
-    for control in CONTROLS:
-        here = whole[whole["control"] == control].groupby("backend")["verdict"]
-        always = here.agg(lambda v: (v == "better").all() - int((v == "worse").all()))
+    for control in CONTROL_WAYS:
+        verdicts = whole[whole["control"] == control].groupby("backend")["verdict"]
+        always = verdicts.agg(lambda v: (v == "better").all() - int((v == "worse").all()))
         better, worse = list(always.index[always > 0]), list(always.index[always < 0])
         if better:
             parts.append(f"better than {CONTROL_WORDS[control]}: {', '.join(better)}")
@@ -197,9 +197,9 @@ def _kinds(pooled: pd.DataFrame) -> list[str]:
     """The same over the local and the long relations apart."""
     lines = []
     for which in ("local", "long"):
-        for control in CONTROLS:
-            here = pooled[(pooled["control"] == control) & (pooled["relations"] == which)]
-            if here["ratio"].notna().any():
+        for control in CONTROL_WAYS:
+            rows = pooled[(pooled["control"] == control) & (pooled["relations"] == which)]
+            if rows["ratio"].notna().any():
                 words = _over_backends(pooled, control, which).partition(": ")[2]
                 lines.append(f"| {which} | {CONTROL_WORDS[control]} | {words.rstrip('.')} |")
     head = "| relations | control | error of RBTM over the control's, over all backends |"
@@ -219,10 +219,10 @@ def _by_backend(differences: pd.DataFrame) -> list[str]:
     whole = differences[differences["relations"] == "all"]
     for log in LOGS.values():
         rows = []
-        for backend, here in whole[whole["log"] == log].groupby("backend", sort=False):
-            by_control = {row.control: row for row in here.itertuples()}
-            rows.append([str(backend), *(_cell(by_control[control]) for control in CONTROLS)])
-        heads = [f"{log}: RBTM with", *(f"over {CONTROL_WORDS[c]}" for c in CONTROLS)]
+        for backend, group in whole[whole["log"] == log].groupby("backend", sort=False):
+            by_control = {row.control: row for row in group.itertuples()}
+            rows.append([str(backend), *(_cell(by_control[control]) for control in CONTROL_WAYS)])
+        heads = [f"{log}: RBTM with", *(f"over {CONTROL_WORDS[c]}" for c in CONTROL_WAYS)]
         blocks.append(render.render(pd.DataFrame(rows, columns=heads), "md"))
     return blocks
 
@@ -279,14 +279,14 @@ SHOWN = {
 
 def markdown(table: pd.DataFrame, times: bool = True) -> str:
     """The table with its intervals folded in, as Markdown."""
-    found = with_intervals.folded(table)
-    found["tried"] = [f"{r.tried}, {r.equal} equal" if r.equal > 1 else r.tried for r in
-                      found.itertuples()]  # fmt: skip
-    found["coverage"] = found["coverage"].astype(float).round(3)
-    found["ms"] = found["ms_per_scan"].astype(float).round(2)
+    folded = with_intervals.folded(table)
+    folded["tried"] = [f"{r.tried}, {r.equal} equal" if r.equal > 1 else r.tried for r in
+                      folded.itertuples()]  # fmt: skip
+    folded["coverage"] = folded["coverage"].astype(float).round(3)
+    folded["ms"] = folded["ms_per_scan"].astype(float).round(2)
     names = ["log", "backend", "way", "setting", "tried", "chosen_on", "status", *SHOWN]
     names += ["coverage", "mean_gap", *(["ms"] if times else [])]
-    return render.render(found[names].rename(columns=SHOWN), "md")
+    return render.render(folded[names].rename(columns=SHOWN), "md")
 
 
 def _limits() -> list[str]:
@@ -301,6 +301,6 @@ def _limits() -> list[str]:
     ]
 
 
-def final_lines(found: Found) -> Sequence[str]:
+def final_lines(results: FreiburgTables) -> Sequence[str]:
     """What is printed last: the counts, a line a control."""
-    return comparison(found)[0].replace("**", "").splitlines()
+    return comparison(results)[0].replace("**", "").splitlines()

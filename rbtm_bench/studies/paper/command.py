@@ -30,9 +30,9 @@ from rbtm_bench.studies.paper import tables as numbers
 from rbtm_bench.studies.paper.figures import draw
 from rbtm_bench.studies.paper.plan import (
     PAPER_BACKEND,
-    Runs,
-    Size,
-    Table,
+    PaperSize,
+    PlannedRuns,
+    TableOne,
     add_open,
     add_ratio,
     make_size,
@@ -44,21 +44,21 @@ PICTURES = {"pictures": True, "map_resolution": 0.02}
 """Settings of the runs that figures show; 2 cm between the points of a map."""
 
 
-def in_turn(runs: Runs) -> list[Point]:
+def in_turn(runs: PlannedRuns) -> list[Point]:
     """The runs on the same data one after the other."""
     return sorted(runs.points.values(), key=lambda point: point.name.rpartition("-")[2])
 
 
-def reproduce(size: Size, out: Path, jobs: int, command: str) -> int:
+def reproduce(size: PaperSize, out: Path, jobs: int, command: str) -> int:
     """Everything in order; the last thing printed is Table I."""
     started = time.perf_counter()
     folder = out / "runs"
     with drive.make_crew(jobs) as crew:
         maker = Campaign(folder, crew)
-        table = Table(size)
+        table = TableOne(size)
 
         # Every row's setting is the best of its tries on seeds that nothing below shows.
-        runs = Runs()
+        runs = PlannedRuns()
         for way in table.ways.values():
             for backend in size.backends:
                 for k in range(len(way.values)):
@@ -68,14 +68,14 @@ def reproduce(size: Size, out: Path, jobs: int, command: str) -> int:
         chosen = numbers.chosen(choices)
 
         # Table I on the seeds that are shown.
-        runs = Runs()
+        runs = PlannedRuns()
         for (key, backend), k in chosen.items():
             table.add(runs, key, k, backend, choosing=False)
         maker.make("Table I", in_turn(runs))
         table1 = numbers.table1(folder, table.ways, size, chosen)
 
         # The ratio over what the paper leaves open, and every open setting by itself.
-        runs = Runs()
+        runs = PlannedRuns()
         of_paper = {way: k for (way, backend), k in chosen.items() if backend == PAPER_BACKEND}
         cells, changes = add_ratio(runs, size, of_paper), add_open(runs, size, of_paper)
         maker.make("ratio and open settings", in_turn(runs))
@@ -83,14 +83,14 @@ def reproduce(size: Size, out: Path, jobs: int, command: str) -> int:
         open_settings = numbers.open_settings(folder, changes)
 
         # Maps and matrices of a run that is neither the best nor the worst.
-        runs = Runs()
+        runs = PlannedRuns()
         shown = add_figures(runs, table, of_paper, folder)
         maker.make("figures", in_turn(runs))
 
-    for name, found in (
+    for name, rows in (
         ("choices", choices), ("table1", table1), ("ratio", ratio), ("open_settings", open_settings)
     ):  # fmt: skip
-        write_text(out / f"{name}.csv", found.to_csv(index=False))
+        write_text(out / f"{name}.csv", rows.to_csv(index=False))
     files = draw(folder, out, table, of_paper, shown, table1, ratio)
     write_text(out / "table1.md", table_page(table1, size))
     spent = time.perf_counter() - started, cpu_seconds()
@@ -108,7 +108,7 @@ def reproduce(size: Size, out: Path, jobs: int, command: str) -> int:
 
 
 def add_figures(
-    runs: Runs, table: Table, chosen: dict[str, int], folder: Path
+    runs: PlannedRuns, table: TableOne, chosen: dict[str, int], folder: Path
 ) -> dict[str, list[str]]:
     """Add the runs that figures show, with their maps and matrices; returns their names by way.
 

@@ -20,7 +20,7 @@ from rbtm_bench.runs.stored import Run
 from rbtm_bench.selection.rbtm import Rbtm
 from rbtm_bench.similarity.curvature import Curvature
 from rbtm_bench.similarity.curvature_circular import CurvatureCircular
-from rbtm_bench.studies.paper.plan import PAPER_BACKEND, Table
+from rbtm_bench.studies.paper.plan import PAPER_BACKEND, TableOne
 from rbtm_bench.studies.paper.tables import ERROR, PARTS, number, read, replicate
 from rbtm_bench.studies.paper.ways import NOISE_MM
 
@@ -38,14 +38,14 @@ HALF_SPAN_DEG = 5.0
 def draw(
     folder: Path,
     out: Path,
-    table: Table,
+    table: TableOne,
     chosen: Mapping[str, int],
     shown: Mapping[str, list[str]],
     table1: pd.DataFrame,
     ratio: pd.DataFrame,
 ) -> list[Path]:
     """Draw all figures into ``out``, from the runs of ``folder`` named in ``shown``."""
-    runs = {way: found[0] for way, names in shown.items() if (found := read(folder, names))}
+    runs = {way: done[0] for way, names in shown.items() if (done := read(folder, names))}
     written: list[Path] = []
     with style.paper():
         for stem, figure in _figures(runs, table, chosen, table1, ratio):
@@ -55,7 +55,7 @@ def draw(
 
 def _figures(
     runs: Mapping[str, Run],
-    table: Table,
+    table: TableOne,
     chosen: Mapping[str, int],
     table1: pd.DataFrame,
     ratio: pd.DataFrame,
@@ -78,7 +78,7 @@ def descriptors(scans: int) -> Figure:
         phi = (similarity.describe(data[0]), similarity.describe(data[apart]))
         score = float(similarity.scores(phi[0][None], phi[1])[0])
         name = "without noise" if noise_mm == 0 else f"{noise_mm:g} mm of range noise"
-        pairs.append(paper.Pair(name, phi, score))
+        pairs.append(paper.DescriptorPair(name, phi, score))
     data = Corridor(scans=scans, range_noise=0.0)
     places = ("scan j = 1", f"scan k = {apart + 1}, {APART_CM:g} cm further")
     views = tuple(_view(data, k, name) for k, name in zip((0, apart), places, strict=True))
@@ -100,7 +100,7 @@ def _moved(pose: Array, points: Array) -> Array:
 
 def matrices(runs: Mapping[str, Run]) -> Figure:
     """The similarity of all pairs: the paper's descriptor without and with noise, and ours."""
-    found = []
+    titled = []
     for way, title in (
         ("literal_clean", "(a) paper's descriptor, no noise"),
         ("literal", f"(b) the same, {NOISE_MM:g} mm noise"),
@@ -108,8 +108,8 @@ def matrices(runs: Mapping[str, Run]) -> Figure:
     ):
         similarity = read_similarity(runs[way]) if way in runs else None
         if similarity is not None:
-            found.append((title, similarity))
-    return paper.matrices(found)
+            titled.append((title, similarity))
+    return paper.matrices(titled)
 
 
 def model_choice(run: Run) -> Figure:
@@ -158,7 +158,7 @@ def environment(scans: int) -> Figure:
 
 
 def _maps(
-    runs: Mapping[str, Run], table: Table, chosen: Mapping[str, int], table1: pd.DataFrame
+    runs: Mapping[str, Run], table: TableOne, chosen: Mapping[str, int], table1: pd.DataFrame
 ) -> Iterator[tuple[str, Figure]]:
     """Fig. 4(a) and (b) in the same limits."""
     scenes = {way: read_scene(runs[way]) for way in ("standard", "circular") if way in runs}

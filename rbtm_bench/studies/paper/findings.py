@@ -1,5 +1,5 @@
-"""What scripts/reproduce_paper.py found, in sentences computed from its tables: they say what the
-numbers say, whatever they are."""
+"""The findings of scripts/reproduce_paper.py, in sentences computed from its tables: they say what
+the numbers say, whatever they are."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ SHOWN_MEANS = (
 
 
 def in_short(table1: pd.DataFrame, ratio: pd.DataFrame, opened: pd.DataFrame) -> list[str]:
-    """What the paper claims, and what was found of it."""
-    here = table1[table1["backend"] == PAPER_BACKEND].set_index("way")
-    ours, standard, literal = here.loc["circular"], here.loc["standard"], here.loc["literal"]
+    """What the paper claims, and what our runs give."""
+    by_way = table1[table1["backend"] == PAPER_BACKEND].set_index("way")
+    ours, standard, literal = by_way.loc["circular"], by_way.loc["standard"], by_way.loc["literal"]
     low, high = ours["standard_over_low"], ours["standard_over_high"]
     inside = ""
     if between(low, high):
@@ -47,8 +47,8 @@ def in_short(table1: pd.DataFrame, ratio: pd.DataFrame, opened: pd.DataFrame) ->
         f"standard way's ({_interval(low, high)}{inside}). That is RBTM with the circular "
         f"descriptor. With the paper's own, which chooses {share:.1%} of the model scans at "
         f"{NOISE_MM:g} mm of noise, it ends {number(literal['median_error_mm'])} mm off.",
-        _similarity_or_gap(table1, here),
-        _path(here, opened),
+        _similarity_or_gap(table1, by_way),
+        _path(by_way, opened),
         f"**Number of scans, noise and ICP distance** move the ratio from "
         f"{number(ratio['standard_over_circular'].min())} to "
         f"{number(ratio['standard_over_circular'].max())}, median "
@@ -56,13 +56,13 @@ def in_short(table1: pd.DataFrame, ratio: pd.DataFrame, opened: pd.DataFrame) ->
     ]
 
 
-def _similarity_or_gap(table1: pd.DataFrame, here: pd.DataFrame) -> str:
+def _similarity_or_gap(table1: pd.DataFrame, by_way: pd.DataFrame) -> str:
     """The heart of it: is it similarity that helps, or any larger gap?"""
     rows = against_controls(table1)
     better, worse = ((rows["verdict"] == verdict).sum() for verdict in ("better", "worse"))
     lower = int((rows["rbtm_mm"] < rows["control_mm"]).sum())
     each = ", ".join(
-        f"{NAMES[control][1]} {number(here.loc[control, 'median_error_mm'])} mm"
+        f"{NAMES[control][1]} {number(by_way.loc[control, 'median_error_mm'])} mm"
         for control in dict.fromkeys(rows["control"])
     )
     text = (
@@ -81,9 +81,9 @@ def _similarity_or_gap(table1: pd.DataFrame, here: pd.DataFrame) -> str:
     return f"{text}; it is shown better in {better} and worse in {worse}. **{verdict}**"
 
 
-def _path(here: pd.DataFrame, opened: pd.DataFrame) -> str:
+def _path(by_way: pd.DataFrame, opened: pd.DataFrame) -> str:
     """The curved path in a sentence or two."""
-    row = here.loc["standard"]
+    row = by_way.loc["standard"]
     straight = row["largest_heading_deg"] < BENT_DEG
     words = "straight and too short" if straight and row["along_mm"] < 0 else "straight"
     if not straight:
@@ -173,16 +173,17 @@ def against_the_controls(table1: pd.DataFrame) -> str:
     """RBTM beside each of its controls over the backends."""
     rows = against_controls(table1)
     tested = bool(rows["p_holm"].notna().any())
-    told = []
-    for control, here in rows.groupby("control", sort=False):
-        lower, verdicts = int((here["rbtm_mm"] < here["control_mm"]).sum()), list(here["verdict"])
+    parts = []
+    for control, group in rows.groupby("control", sort=False):
+        lower = int((group["rbtm_mm"] < group["control_mm"]).sum())
+        verdicts = list(group["verdict"])
         better, worse = verdicts.count("better"), verdicts.count("worse")
         test = f" (shown better at {better}, shown worse at {worse})" if tested else ""
-        told.append(f"{NAMES[str(control)][1]} at {lower}{test}")
+        parts.append(f"{NAMES[str(control)][1]} at {lower}{test}")
     end = "" if tested else " With fewer than six seeds nothing is tested."
     return (
         f"Backends, of {rows['backend'].nunique()}, at which RBTM (circular) has a smaller median "
-        f"error than a control that knows nothing of similarity: {'; '.join(told)}.{end} A random "
+        f"error than a control that knows nothing of similarity: {'; '.join(parts)}.{end} A random "
         "gap draws the very gaps that RBTM chose on the same data, in random order."
     )
 
@@ -196,10 +197,10 @@ def when_curved(
 ) -> list[str]:
     """Along, cross and heading of the standard way: whether it curves, when, and why."""
     standard = table1[table1["way"].str.startswith("standard")]
-    here = standard[standard["backend"] == PAPER_BACKEND].set_index("way").loc["standard"]
+    row = standard[standard["backend"] == PAPER_BACKEND].set_index("way").loc["standard"]
     changed = opened.dropna(subset=["standard_mm"]).set_index("change")
-    answer = "No" if here["largest_heading_deg"] < BENT_DEG else "In some runs"
-    short = "short" if here["along_mm"] < 0 else "long"
+    answer = "No" if row["largest_heading_deg"] < BENT_DEG else "In some runs"
+    short = "short" if row["along_mm"] < 0 else "long"
     matcher = standard.loc[standard["largest_heading_deg"].idxmax()]
     lines = [
         f"**{answer}, not in Table I.**" if answer == "No" else f"**{answer} of Table I.**",
@@ -209,9 +210,9 @@ def when_curved(
         _size_alone(ratio),
     ]
     lines[0] += (
-        f" With the paper's ICP the path ends {number(here['along_mm'])} mm along, "
-        f"{number(here['cross_mm'])} mm across, and turned by {number(here['heading_deg'])} deg "
-        f"(medians; {number(here['largest_heading_deg'])} deg at most): too {short}, not bent. "
+        f" With the paper's ICP the path ends {number(row['along_mm'])} mm along, "
+        f"{number(row['cross_mm'])} mm across, and turned by {number(row['heading_deg'])} deg "
+        f"(medians; {number(row['largest_heading_deg'])} deg at most): too {short}, not bent. "
         f"Of all matchers {matcher['backend']} turns it most, by "
         f"{number(matcher['largest_heading_deg'])} deg at most. From {BENT_DEG:g} deg on one would "
         "see it."
@@ -220,18 +221,18 @@ def when_curved(
 
 
 def _when_bent(changed: pd.DataFrame) -> str:
-    """The changed settings with which the standard path is curved, and what RBTM does there."""
+    """The changed settings with which the standard path is curved, and what RBTM does with them."""
     turned = changed["standard_largest_heading_deg"].drop(UNCHANGED).sort_values(ascending=False)
     fields = changed[changed.index.str.fullmatch(r"sensor: \d+ deg")]
     by_field = ", ".join(
         f"{number(row['standard_largest_heading_deg'])} deg with {str(name)[8:]}"
         for name, row in fields.iterrows()
     )
-    told = []
+    parts = []
     for name in turned.index[turned >= BENT_DEG]:
         row = changed.loc[name]
         share = row["circular_fired"] / max(row["circular_scans"], 1)
-        told.append(
+        parts.append(
             f"({_plain(str(name))}): by {number(row['standard_largest_heading_deg'])} deg and "
             f"{number(row['standard_largest_cross_mm'])} mm across at most, mean "
             f"{number(row['standard_heading_mean_deg'])} deg, standard deviation "
@@ -239,8 +240,8 @@ def _when_bent(changed: pd.DataFrame) -> str:
             f"{number(row['circular_largest_heading_deg'])} deg at most; it fires on {share:.0%} "
             "of the scans"
         )
-    text = f"**When does it curve?** With {'; with '.join(told)}."
-    if not told:
+    text = f"**When does it curve?** With {'; with '.join(parts)}."
+    if not parts:
         text = (
             "**When does it curve?** With none of the changed settings above: at most "
             f"{number(turned.max())} deg ({turned.idxmax()})."

@@ -14,13 +14,13 @@ from rbtm_bench.runs.grid import Point, make_points
 from rbtm_bench.runs.installed import planar_backends
 from rbtm_bench.runs.settings import Settings
 from rbtm_bench.studies.campaign import with_value
-from rbtm_bench.studies.paper.ways import NOISE_MM, Way, make_ways
+from rbtm_bench.studies.paper.ways import NOISE_MM, PaperWay, make_ways
 
 PAPER_BACKEND = "open3d_p2p"
 """Point-to-point ICP, the paper's matcher."""
 FEWEST_SCANS = 10
 FIRST_CHOICE = 100
-"""Seeds from here on choose settings; those from 0 on are shown."""
+"""Seeds from this one on choose settings; those from 0 on are shown."""
 SHOWN_BEAMS = (681, 676, 686, 671, 691)
 CHOICE_BEAMS = (661, 701, 651, 711, 641)
 """Without noise nothing is random, so sensors with other beams take the place of seeds."""
@@ -85,7 +85,7 @@ OPEN = (
 
 
 @dataclass(frozen=True)
-class Size:
+class PaperSize:
     """How much is run. ``grid_*`` are the axes of the ratio; distances in m."""
 
     quick: bool
@@ -108,15 +108,15 @@ class Size:
         return "dataset.beams", (CHOICE_BEAMS if choosing else SHOWN_BEAMS)[:count]
 
 
-FULL = Size(
+FULL = PaperSize(
     False, 20, 5, 181, (), (19, 37, 91, 181, 361), (0, 3, 10, 30), (0.1, 0.2, 0.3, 0.5, 1.0), 10
 )
-QUICK = Size(True, 5, 2, 181, QUICK_BACKENDS, (19, 61, 181), (0, 10), (0.1, 0.3, 1.0), 3)
+QUICK = PaperSize(True, 5, 2, 181, QUICK_BACKENDS, (19, 61, 181), (0, 10), (0.1, 0.3, 1.0), 3)
 
 
 def make_size(
     quick: bool, seeds: int | None, scans: int | None, backends: Sequence[str] | None
-) -> Size:
+) -> PaperSize:
     """A size with what the command line changes of it. Fewer scans bound the ratio's grid too.
 
     Raises ``ConfigError`` for numbers that are too small, or seeds that choose settings.
@@ -128,10 +128,10 @@ def make_size(
     if backends and PAPER_BACKEND not in backends:
         raise ConfigError(f"--backends {','.join(backends)}: must hold {PAPER_BACKEND}")
     size = QUICK if quick else FULL
-    there = planar_backends(PAPER_BACKEND)
-    chosen = tuple(backends or size.backends or there)
+    installed = planar_backends(PAPER_BACKEND)
+    chosen = tuple(backends or size.backends or installed)
     size = replace(
-        size, backends=chosen, left_out=tuple(name for name in there if name not in chosen)
+        size, backends=chosen, left_out=tuple(name for name in installed if name not in chosen)
     )
     if seeds is not None:
         choice, grid = min(size.choice_seeds, seeds), min(size.grid_seeds, seeds)
@@ -147,7 +147,7 @@ Replicates = tuple[str, Sequence[int]]
 
 
 @dataclass
-class Runs:
+class PlannedRuns:
     """The runs to make, by name: one that several figures need is made once."""
 
     points: dict[str, Point] = field(default_factory=dict)
@@ -171,12 +171,12 @@ def compose(*words: str) -> list[Point]:
     return make_points([*COMMON, *words])[0]
 
 
-class Table:
+class TableOne:
     """The runs of Table I, composed once for the seeds that choose and those that are shown."""
 
-    def __init__(self, size: Size) -> None:
+    def __init__(self, size: PaperSize) -> None:
         self.size, self.ways = size, make_ways(size.scans)
-        self._found: dict[tuple[str, int, str], Settings] = {}
+        self._settings: dict[tuple[str, int, str], Settings] = {}
         for way in self.ways.values():
             words = [f"backend={','.join(size.backends)}", *data_words(size.scans, way.noise_mm)]
             tries = f"{way.knob}={','.join(map(shown, way.values))}"
@@ -188,21 +188,21 @@ class Table:
                 overrides = (source or point).settings.overrides
                 k = next(k for k in range(len(way.values)) if way.tried(k) in overrides)
                 backend = point.settings.choices["backend"]
-                self._found[way.key, k, backend] = point.settings
+                self._settings[way.key, k, backend] = point.settings
 
     def settings(self, way: str, k: int, backend: str) -> Settings:
         """Of a row's ``k``-th try, for seed 0."""
-        return self._found[way, k, backend]
+        return self._settings[way, k, backend]
 
-    def add(self, runs: Runs, way: str, k: int, backend: str, choosing: bool) -> list[str]:
+    def add(self, runs: PlannedRuns, way: str, k: int, backend: str, choosing: bool) -> list[str]:
         """Add the runs of a row's ``k``-th try; returns their names."""
         replicates = self.size.replicates(self.ways[way].noise_mm, choosing)
         stem = stem_of(way, k, backend)
-        names = runs.add(stem, self._found[way, k, backend], replicates)
+        names = runs.add(stem, self._settings[way, k, backend], replicates)
         if way == "random_gap":
             self.add(runs, "circular", k, backend, choosing)
             source = stem_of("circular", k, backend)
-            runs.follow(stem, source, self._found[way, k, backend], replicates)
+            runs.follow(stem, source, self._settings[way, k, backend], replicates)
         return names
 
 
@@ -215,7 +215,9 @@ def data_words(scans: int, noise_mm: float) -> list[str]:
     return [f"dataset.scans={scans}", f"dataset.range_noise={noise_mm / 1000:g}"]
 
 
-def add_ratio(runs: Runs, size: Size, chosen: Mapping[str, int]) -> list[dict[str, Any]]:
+def add_ratio(
+    runs: PlannedRuns, size: PaperSize, chosen: Mapping[str, int]
+) -> list[dict[str, Any]]:
     """Add the runs of the ratio's grid; returns its cells with the runs' names by way.
 
     Standard, RBTM and the fixed gap with the paper's ICP; the latter two with the settings that
@@ -224,7 +226,7 @@ def add_ratio(runs: Runs, size: Size, chosen: Mapping[str, int]) -> list[dict[st
     few = replace(size, seeds=size.grid_seeds)
     cells: list[dict[str, Any]] = []
     for scans, noise in product(size.grid_scans, size.grid_noise_mm):
-        here: list[dict[str, Any]] = [
+        group: list[dict[str, Any]] = [
             {"scans": scans, "noise_mm": noise, "distance_m": distance}
             for distance in size.grid_distance
         ]
@@ -233,14 +235,14 @@ def add_ratio(runs: Runs, size: Size, chosen: Mapping[str, int]) -> list[dict[st
             words = [*data_words(scans, noise), *chosen_words(make_ways(scans)[way], chosen)]
             key = "registration.max_correspondence_distance"
             points = compose(*words, "pictures=false", f"{key}={distances}")
-            for cell, point in zip(here, points, strict=True):
+            for cell, point in zip(group, points, strict=True):
                 stem = f"ratio-{way}-{scans}-{noise:g}mm-{cell['distance_m']:g}m"
                 cell[way] = runs.add(stem, point.settings, few.replicates(noise, choosing=False))
-        cells += here
+        cells += group
     return cells
 
 
-def add_open(runs: Runs, size: Size, chosen: Mapping[str, int]) -> list[dict[str, Any]]:
+def add_open(runs: PlannedRuns, size: PaperSize, chosen: Mapping[str, int]) -> list[dict[str, Any]]:
     """Add the runs with one open setting changed; returns the changes with the runs' names.
 
     The distance is 0.3 m, as in all rows of Table I but the standard ICP's, which chose its own.
@@ -262,7 +264,7 @@ def add_open(runs: Runs, size: Size, chosen: Mapping[str, int]) -> list[dict[str
     return rows
 
 
-def chosen_words(way: Way, chosen: Mapping[str, int]) -> list[str]:
+def chosen_words(way: PaperWay, chosen: Mapping[str, int]) -> list[str]:
     """A row's overrides with the paper's ICP; of its choice what the model scan depends on."""
     own = [] if way.key.startswith("standard") else [way.tried(chosen[way.key])]
     return [f"backend={PAPER_BACKEND}", *way.words, *own]

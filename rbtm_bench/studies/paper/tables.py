@@ -15,8 +15,8 @@ from rbtm_bench.core.errors import DataError
 from rbtm_bench.report import intervals
 from rbtm_bench.report.intervals import Interval
 from rbtm_bench.runs.stored import Run, read_run
-from rbtm_bench.studies.paper.plan import PAPER_BACKEND, RATIO, Size, stem_of
-from rbtm_bench.studies.paper.ways import NAMES, Way
+from rbtm_bench.studies.paper.plan import PAPER_BACKEND, RATIO, PaperSize, stem_of
+from rbtm_bench.studies.paper.ways import NAMES, PaperWay
 
 ERROR = "final_translation_error_mm"
 PARTS = {
@@ -25,7 +25,7 @@ PARTS = {
     "heading_deg": "final_heading_error_deg",
 }
 SIGNIFICANT = 0.05
-CONTROLS = ("fixed_gap", "keyframe", "oldest", "random_gap")
+BLIND_CONTROLS = ("fixed_gap", "keyframe", "oldest", "random_gap")
 
 Choice = Mapping[tuple[str, str], int]
 """The number of the chosen try by way and backend."""
@@ -33,15 +33,15 @@ Choice = Mapping[tuple[str, str], int]
 
 def read(out: Path, names: Sequence[str]) -> list[Run]:
     """The runs that are done, in the order of their names' list."""
-    found = []
+    runs = []
     for name in names:
         try:
             run = read_run(out / name)
         except DataError:
             continue
         if run.done and run.metrics.get(ERROR) is not None:
-            found.append(run)
-    return found
+            runs.append(run)
+    return runs
 
 
 def values(runs: Sequence[Run], key: str) -> list[float]:
@@ -55,8 +55,8 @@ def median(numbers: Sequence[float]) -> float:
 
 
 def fired(runs: Sequence[Run]) -> dict[str, int]:
-    """How many scans there were, the first of a run aside, and of how many the model scan was
-    chosen by the method: not by its fallback."""
+    """The number of scans, the first of a run aside, and of how many the model scan was chosen by
+    the method: not by its fallback."""
     scans = sum(int(run.record["scans"]) - 1 for run in runs)
     return {"fired": scans - round(sum(values(runs, "fallbacks"))), "scans": scans}
 
@@ -66,8 +66,8 @@ def ratio_of(above: Sequence[Run], below: Sequence[Run]) -> Interval | None:
     ratio, with its interval. None without a common seed."""
     known = {replicate(run): float(run.metrics[ERROR]) for run in above}
     pairs = [(known.get(replicate(run)), float(run.metrics[ERROR])) for run in below]
-    found = [a / b for a, b in pairs if a is not None and b > 0]
-    return intervals.interval(found) if found else None
+    quotients = [a / b for a, b in pairs if a is not None and b > 0]
+    return intervals.interval(quotients) if quotients else None
 
 
 def replicate(run: Run) -> str:
@@ -75,7 +75,7 @@ def replicate(run: Run) -> str:
     return run.path.name.rpartition("-")[2]
 
 
-def choices(out: Path, ways: Mapping[str, Way], size: Size) -> pd.DataFrame:
+def choices(out: Path, ways: Mapping[str, PaperWay], size: PaperSize) -> pd.DataFrame:
     """A row a try: its median error on the seeds that choose. The smallest is chosen, of equal
     ones the first."""
     rows = []
@@ -107,7 +107,9 @@ def chosen(table: pd.DataFrame) -> dict[tuple[str, str], int]:
     }
 
 
-def table1(out: Path, ways: Mapping[str, Way], size: Size, choice: Choice) -> pd.DataFrame:
+def table1(
+    out: Path, ways: Mapping[str, PaperWay], size: PaperSize, choice: Choice
+) -> pd.DataFrame:
     """Table I: a row a backend and method, on the seeds that are shown.
 
     ``standard_over_this`` is the ratio of the standard ICP's error to this one's (``ratio_of``).
@@ -116,15 +118,15 @@ def table1(out: Path, ways: Mapping[str, Way], size: Size, choice: Choice) -> pd
     """
     rows: list[dict[str, Any]] = []
     for backend in size.backends:
-        found: dict[str, list[Run]] = {}
-        here = []
+        runs_of: dict[str, list[Run]] = {}
+        group = []
         for way in ways.values():
             key, replicates = size.replicates(way.noise_mm, choosing=False)
             k = choice[way.key, backend]
             names = [f"{stem_of(way.key, k, backend)}-{r}" for r in replicates]
-            runs = found[way.key] = read(out, names)
-            standard = found["standard_clean" if way.noise_mm == 0 else "standard"]
-            here.append(
+            runs = runs_of[way.key] = read(out, names)
+            standard = runs_of["standard_clean" if way.noise_mm == 0 else "standard"]
+            group.append(
                 {
                     "backend": backend, "method": way.name, "way": way.key,
                     "noise_mm": way.noise_mm, "setting": way.setting(k), "brief": way.brief(k),
@@ -134,41 +136,41 @@ def table1(out: Path, ways: Mapping[str, Way], size: Size, choice: Choice) -> pd
                     "failed": len(names) - len(runs), **_numbers(runs, standard),
                 }
             )  # fmt: skip
-        rows += _tested(here, found)
+        rows += _tested(group, runs_of)
     return pd.DataFrame(rows)
 
 
 def _numbers(runs: Sequence[Run], standard: Sequence[Run]) -> dict[str, Any]:
     errors = values(runs, ERROR)
     spread = intervals.interval(errors) if errors else None
-    found: dict[str, Any] = {
+    row: dict[str, Any] = {
         "runs": len(runs),
         "median_error_mm": spread.value if spread else math.nan,
         "low_mm": spread.low if spread else None,
         "high_mm": spread.high if spread else None,
         "largest_error_mm": max(errors, default=math.nan),
     }
-    found |= {name: median(values(runs, key)) for name, key in PARTS.items()}
+    row |= {name: median(values(runs, key)) for name, key in PARTS.items()}
     heading = values(runs, PARTS["heading_deg"])
-    found["largest_heading_deg"] = max(map(abs, heading), default=math.nan)
+    row["largest_heading_deg"] = max(map(abs, heading), default=math.nan)
     ratio = ratio_of(standard, runs)
-    found["standard_over_this"] = ratio.value if ratio else math.nan
-    found["standard_over_low"] = ratio.low if ratio else None
-    found["standard_over_high"] = ratio.high if ratio else None
-    found |= fired(runs)
-    found["mean_gap"] = median(values(runs, "mean_gap"))
-    found["ms_per_scan"] = median(values(runs, "ms_per_scan"))
-    return found
+    row["standard_over_this"] = ratio.value if ratio else math.nan
+    row["standard_over_low"] = ratio.low if ratio else None
+    row["standard_over_high"] = ratio.high if ratio else None
+    row |= fired(runs)
+    row["mean_gap"] = median(values(runs, "mean_gap"))
+    row["ms_per_scan"] = median(values(runs, "ms_per_scan"))
+    return row
 
 
-def _tested(rows: list[dict[str, Any]], found: Mapping[str, list[Run]]) -> list[dict[str, Any]]:
+def _tested(rows: list[dict[str, Any]], runs_of: Mapping[str, list[Run]]) -> list[dict[str, Any]]:
     """The rows of a backend beside its RBTM with the circular descriptor, on the same data."""
-    ours = {replicate(run): run.metrics[ERROR] for run in found["circular"]}
+    ours = {replicate(run): run.metrics[ERROR] for run in runs_of["circular"]}
     tests: list[float | None] = []
     for row in rows:
         pairs = [
             (run.metrics[ERROR], ours[replicate(run)])
-            for run in found[row["way"]]
+            for run in runs_of[row["way"]]
             if row["noise_mm"] > 0 and row["way"] != "circular" and replicate(run) in ours
         ]
         row["smaller_than_rbtm"] = sum(a < b for a, b in pairs) if pairs else None
@@ -185,10 +187,10 @@ def against_controls(table: pd.DataFrame) -> pd.DataFrame:
     adjusted for a backend's comparisons.
     """
     rows = []
-    for backend, here in table.groupby("backend", sort=False):
-        by_way = here.set_index("way")
+    for backend, group in table.groupby("backend", sort=False):
+        by_way = group.set_index("way")
         ours = float(by_way.loc["circular", "median_error_mm"])
-        for control in CONTROLS:
+        for control in BLIND_CONTROLS:
             other, p = (by_way.loc[control, key] for key in ("median_error_mm", "p_holm"))
             holds = not pd.isna(p) and p < SIGNIFICANT
             rows.append(
@@ -205,15 +207,15 @@ def ratios(out: Path, cells: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     """A row a cell of the ratio's grid, with medians over seeds and the ratio's interval."""
     rows = []
     for cell in cells:
-        found = {way: read(out, cell[way]) for way in RATIO}
+        runs_of = {way: read(out, cell[way]) for way in RATIO}
         row: dict[str, Any] = {k: cell[k] for k in ("scans", "noise_mm", "distance_m")}
-        row["runs"] = len(found["standard"])
-        for way, runs in found.items():
+        row["runs"] = len(runs_of["standard"])
+        for way, runs in runs_of.items():
             row[f"{way}_mm"] = median(values(runs, ERROR))
             for part, key in PARTS.items():
                 row[f"{way}_{part}"] = median(values(runs, key))
         for way in RATIO[1:]:
-            ratio = ratio_of(found["standard"], found[way])
+            ratio = ratio_of(runs_of["standard"], runs_of[way])
             row[f"standard_over_{way}"] = ratio.value if ratio else math.nan
             row[f"standard_over_{way}_low"] = ratio.low if ratio else None
             row[f"standard_over_{way}_high"] = ratio.high if ratio else None
@@ -223,27 +225,27 @@ def ratios(out: Path, cells: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
 
 def open_settings(out: Path, rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     """A row a changed setting: errors and their parts, and how the heading spreads over seeds."""
-    found = []
+    lines = []
     for row in rows:
         line: dict[str, Any] = {"change": row["change"]}
         runs = {way: read(out, row[way]) for way in ("standard", "circular") if way in row}
-        for way, here in runs.items():
-            line[f"{way}_mm"] = median(values(here, ERROR))
+        for way, members in runs.items():
+            line[f"{way}_mm"] = median(values(members, ERROR))
             for part, key in PARTS.items():
-                line[f"{way}_{part}"] = median(values(here, key))
-            heading = values(here, PARTS["heading_deg"])
-            cross = values(here, PARTS["cross_mm"])
+                line[f"{way}_{part}"] = median(values(members, key))
+            heading = values(members, PARTS["heading_deg"])
+            cross = values(members, PARTS["cross_mm"])
             line[f"{way}_heading_mean_deg"] = float(np.mean(heading)) if heading else math.nan
             line[f"{way}_heading_sd_deg"] = float(np.std(heading, ddof=len(heading) > 1))
             line[f"{way}_largest_heading_deg"] = max(map(abs, heading), default=math.nan)
             line[f"{way}_largest_cross_mm"] = max(map(abs, cross), default=math.nan)
-            line[f"{way}_runs"] = len(here)
+            line[f"{way}_runs"] = len(members)
         line |= {f"circular_{name}": count for name, count in fired(runs["circular"]).items()}
         if "standard" in runs:
             ratio = ratio_of(runs["standard"], runs["circular"])
             line["ratio"] = ratio.value if ratio else math.nan
-        found.append(line)
-    return pd.DataFrame(found)
+        lines.append(line)
+    return pd.DataFrame(lines)
 
 
 def held(run: Run) -> tuple[float, float, float]:
@@ -296,25 +298,25 @@ def by_backend(table: pd.DataFrame) -> pd.DataFrame:
     verdicts = against_controls(table).set_index(["backend", "control"])["verdict"]
     marks = {"better": " (+)", "worse": " (-)", "": ""}
     rows = []
-    for backend, here in table.groupby("backend", sort=False):
+    for backend, group in table.groupby("backend", sort=False):
         row = {"backend": backend}
-        for way, mm in zip(here["way"], here["median_error_mm"], strict=True):
-            mark = marks[verdicts.loc[backend, way]] if way in CONTROLS else ""
+        for way, mm in zip(group["way"], group["median_error_mm"], strict=True):
+            mark = marks[verdicts.loc[backend, way]] if way in BLIND_CONTROLS else ""
             row[NAMES[way][1]] = number(mm) + mark
         rows.append(row)
     return pd.DataFrame(rows)
 
 
 def between(low: float | None, high: float | None) -> str:
-    """An interval in words; nothing where there is none."""
+    """An interval in words; nothing without one."""
     if low is None or high is None or low != low or high != high:
         return ""
     return f"{number(low)} to {number(high)}"
 
 
 def number(value: float | None) -> str:
-    """Two digits, above 100 all before the point, no exponent; nothing for a number that is not
-    there."""
+    """Two digits, above 100 all before the point, no exponent; nothing for NaN, infinity or
+    None."""
     if value is None or not math.isfinite(value):
         return ""
     return f"{value:.0f}" if abs(value) >= 99.5 else f"{float(f'{value:.2g}'):g}"

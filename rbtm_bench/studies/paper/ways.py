@@ -17,7 +17,7 @@ NOISE_MM = 10.0
 
 
 @dataclass(frozen=True)
-class Way:
+class PaperWay:
     """A row of Table I. Its ``values`` of ``knob`` are the settings that it may choose from."""
 
     key: str
@@ -71,7 +71,7 @@ KNOBS = {
 """What is tried, in words and in few of them."""
 
 
-def make_ways(scans: int) -> dict[str, Way]:
+def make_ways(scans: int) -> dict[str, PaperWay]:
     """The rows of Table I for so many scans on the path, by key; four tries each."""
     window = f"selector.window={window_of(64, scans)}"
     rbtm = ("selector=rbtm", window)
@@ -83,19 +83,19 @@ def make_ways(scans: int) -> dict[str, Way]:
     low = ("selector.threshold", (0.2, 0.3, 0.4, 0.5))  # its scores stay below 0.8
     high = ("selector.threshold", (0.5, 0.6, 0.7, 0.8))
     metres = ("selector.distance", (0.1, 0.2, 0.3, 0.5))
-    found = (
-        Way("standard", ("selector=previous",), *distance),
-        Way("literal", literal, *low),
-        Way("circular", rbtm, *high),
-        Way("fixed_gap", ("selector=fixed_gap",), "selector.gap", gaps),
-        Way("keyframe", ("selector=keyframe",), *metres),
-        Way("oldest", ("selector=oldest",), "selector.window", windows),
+    ways = (
+        PaperWay("standard", ("selector=previous",), *distance),
+        PaperWay("literal", literal, *low),
+        PaperWay("circular", rbtm, *high),
+        PaperWay("fixed_gap", ("selector=fixed_gap",), "selector.gap", gaps),
+        PaperWay("keyframe", ("selector=keyframe",), *metres),
+        PaperWay("oldest", ("selector=oldest",), "selector.window", windows),
         # its tries are those of "circular", whose gaps it draws
-        Way("random_gap", ("selector=rbtm,random_gap", window), *high),
-        Way("standard_clean", ("selector=previous",), *distance, 0.0),
-        Way("literal_clean", literal, *low, 0.0),
+        PaperWay("random_gap", ("selector=rbtm,random_gap", window), *high),
+        PaperWay("standard_clean", ("selector=previous",), *distance, 0.0),
+        PaperWay("literal_clean", literal, *low, 0.0),
     )
-    return {way.key: way for way in found}
+    return {way.key: way for way in ways}
 
 
 def gap_of(cm: float, scans: int) -> int:
@@ -110,7 +110,7 @@ def window_of(cm: float, scans: int) -> int:
 
 def _distinct(ascending: Iterable[int]) -> tuple[float, ...]:
     """The numbers, with few scans on the path as far apart as makes them different tries."""
-    found: list[float] = []
+    distinct: list[float] = []
     for value in ascending:
-        found.append(max(value, found[-1] + 1) if found else value)
-    return tuple(found)
+        distinct.append(max(value, distinct[-1] + 1) if distinct else value)
+    return tuple(distinct)

@@ -24,7 +24,7 @@ from rbtm_bench.studies.paper.plan import (
     FIRST_CHOICE,
     PAPER_BACKEND,
     SHOWN_BEAMS,
-    Size,
+    PaperSize,
 )
 from rbtm_bench.studies.paper.tables import between, by_backend, markdown, number, paper_icp
 from rbtm_bench.studies.paper.ways import NOISE_MM, PATH_CM, window_of
@@ -33,7 +33,7 @@ WIDEST_HEAD = 8
 """Letters of a line above a column of the terminal's table."""
 
 
-def final_words(table: pd.DataFrame, size: Size) -> str:
+def final_words(table: pd.DataFrame, size: PaperSize) -> str:
     """For the terminal, 100 columns: the other backends' medians, then Table I, a method a line."""
     others = by_backend(table[table["backend"] != PAPER_BACKEND])
     short = paper_icp(table)
@@ -65,22 +65,22 @@ def _terminal(table: pd.DataFrame, heads: list[str], align: list[str]) -> str:
     return tabulate(rows, tablefmt="plain", disable_numparse=True, colalign=align)
 
 
-def _title(size: Size) -> str:
+def _title(size: PaperSize) -> str:
     return (
         f"final position error (mm), median over {size.seeds} seeds; path {10 * PATH_CM:.0f} mm, "
         f"{size.scans} scans,\n{NOISE_MM:g} mm noise unless said"
     )
 
 
-def _chosen(size: Size) -> str:
+def _chosen(size: PaperSize) -> str:
     last = FIRST_CHOICE + size.choice_seeds - 1
     return f"Each setting is the best of four on seeds {FIRST_CHOICE} to {last}"
 
 
-def table_page(table: pd.DataFrame, size: Size) -> str:
+def table_page(table: pd.DataFrame, size: PaperSize) -> str:
     """``table1.md``: Table I in short, then every backend in full."""
     parts = ["# Table I", *short_table(table, size), _columns(size)]
-    for backend, here in table.groupby("backend", sort=False):
+    for backend, group in table.groupby("backend", sort=False):
         rows = [
             {
                 "method": row["method"], "chosen setting": row["setting"], "tried": row["tried"],
@@ -97,13 +97,13 @@ def table_page(table: pd.DataFrame, size: Size) -> str:
                 else f"{row['smaller_than_rbtm']:.0f} of {row['runs']}",
                 "p (Holm)": "" if pd.isna(row["p_holm"]) else f"{row['p_holm']:.2g}",
             }
-            for row in here.to_dict("records")
+            for row in group.to_dict("records")
         ]  # fmt: skip
         parts += [f"## {backend}", markdown(pd.DataFrame(rows))]
     return "\n\n".join(parts) + "\n"
 
 
-def short_table(table: pd.DataFrame, size: Size) -> list[str]:
+def short_table(table: pd.DataFrame, size: PaperSize) -> list[str]:
     """Table I of the paper's ICP, and the medians of all backends."""
     title = _title(size).replace("\n", " ")
     return [
@@ -118,7 +118,7 @@ def short_table(table: pd.DataFrame, size: Size) -> list[str]:
     ]
 
 
-def _columns(size: Size) -> str:
+def _columns(size: PaperSize) -> str:
     return f"""\
 Below, `along`, `cross` and `heading` are signed medians: too far, to the left and counter-clockwise
 are positive. `standard / this` is the median over seeds of a seed's own ratio.
@@ -132,7 +132,7 @@ settings were chosen with {_words(CHOICE_BEAMS[: size.choice_seeds])} beams."""
 
 def readme(
     command: str,
-    size: Size,
+    size: PaperSize,
     choices: pd.DataFrame,
     table1: pd.DataFrame,
     ratio: pd.DataFrame,
@@ -141,7 +141,7 @@ def readme(
     folder: Path,
 ) -> str:
     """``README.md`` of the results."""
-    found = (
+    summary = (
         *in_short(table1, ratio, opened),
         "What the paper does not say (sensor, number of scans, noise, window, threshold, initial "
         "guess, ICP settings) was chosen as listed [below](#what-the-paper-leaves-open).",
@@ -151,7 +151,7 @@ def readme(
         f"Made by `{command}` on simulated scans. Nothing was tuned toward the paper's numbers: "
         "every method had four settings to choose from, on seeds that are not shown.",
         "## In short",
-        _listed(found),
+        _listed(summary),
         "## Table I",
         *short_table(table1, size),
         "Every backend in full: [table1.md](table1.md) and table1.csv; every setting tried: "
@@ -198,14 +198,14 @@ the scans with the corridor's end wall in the sensor's range of 4 m.
 Numbers behind them: ratio.csv, open_settings.csv; the runs are below `runs/`."""
 
 
-def _left_out(size: Size) -> str:
+def _left_out(size: PaperSize) -> str:
     if not size.left_out:
         return ""
     names = ", ".join(size.left_out)
     return f"Left out here for their time: {names}. Without `--quick` every planar backend is run."
 
 
-def _open(size: Size, opened: pd.DataFrame) -> str:
+def _open(size: PaperSize, opened: pd.DataFrame) -> str:
     window = window_of(64, size.scans)
     step = 10 * PATH_CM / (size.scans - 1)
     rows = [

@@ -44,73 +44,73 @@ MOST = {"all gaps": "at all gaps", "equal gap": "at equal gaps"}
 
 def data_sets(folder: Path | None) -> dict[str, tuple[str, list[str]]]:
     """Title and overrides of every data set, by name. Raises ``DataError`` for missing logs."""
-    found: dict[str, tuple[str, list[str]]] = {}
+    sets: dict[str, tuple[str, list[str]]] = {}
     for name in SPACING:
         words = ["dataset=corridor", *corridor_words(name), "seed=0,1,2", "guess=odometry"]
-        found[name] = (f"simulated: {name}", [*words, "--within", "0.01,0.5"])
+        sets[name] = (f"simulated: {name}", [*words, "--within", "0.01,0.5"])
     if folder is None:
-        return found
+        return sets
     for name, (log, relations) in find_logs(folder).items():
         words = [f"dataset.path='{log}'", f"dataset.relations='{relations}'"]
-        found[name] = (f"{LOGS[name]}, raw", ["dataset=carmen", *words])
+        sets[name] = (f"{LOGS[name]}, raw", ["dataset=carmen", *words])
     for name, title in CORRECTED.items():
         words = ["dataset=carmen", f"dataset.path='{corrected_log(folder, name)}'"]
-        found[f"{name}-corrected"] = (f"{title}, keyframes", words)
-    return found
+        sets[f"{name}-corrected"] = (f"{title}, keyframes", words)
+    return sets
 
 
 def calibrated(folder: Path, words: list[str], options: argparse.Namespace) -> pd.DataFrame:
-    """The areas of a data set; those that are there stay. Raises ``DataError`` if it failed."""
-    if options.fresh or not _is_there(folder, options.backends):
+    """The areas of a data set; complete ones stay. Raises ``DataError`` if it failed."""
+    if options.fresh or not _is_complete(folder, options.backends):
         asked = ["calibrate", f"similarity={','.join(SIMILARITIES)}", *words]
         asked += [f"backend={options.backends}", "overwrite=true"]
         asked += ["--out", str(folder), "--jobs", str(options.jobs)]
         code = rbtm_bench(asked, quiet=True)
         if code:
             raise DataError(f"rbtm-bench {' '.join(asked)}: exit code {code}")
-    found = pd.read_csv(folder / "roc.csv")
-    return found[(found["pairs"] == "gap") & (found["part"] == "all")]
+    areas = pd.read_csv(folder / "roc.csv")
+    return areas[(areas["pairs"] == "gap") & (areas["part"] == "all")]
 
 
-def _is_there(folder: Path, backends: str) -> bool:
+def _is_complete(folder: Path, backends: str) -> bool:
     """Whether the folder holds the areas of these backends and of all similarities."""
     if not (folder / "roc.csv").is_file():
         return False
-    found = pd.read_csv(folder / "roc.csv")
-    whole = set(SIMILARITIES) <= set(found["predictor"])
-    return whole and set(found["backend"]) == set(backends.split(","))
+    areas = pd.read_csv(folder / "roc.csv")
+    whole = set(SIMILARITIES) <= set(areas["predictor"])
+    return whole and set(areas["backend"]) == set(backends.split(","))
 
 
 def knees(folder: Path) -> pd.DataFrame:
-    """The curves of a data set, a row a backend and similarity, NaN where there is no knee."""
+    """The curves of a data set, a row a backend and similarity, NaN without a knee."""
     return pd.read_csv(folder / "summary.csv")[["backend", "similarity", "knee"]]
 
 
 def knee_words(table: pd.DataFrame) -> str:
     """How many curves have a knee, and where."""
-    there = table[table["knee"].notna()]
+    with_knee = table[table["knee"].notna()]
     where = [
         f"{r['data']}, {r['backend']}, {r['similarity']}: S = {r['knee']:.2f}"
-        for _, r in there.iterrows()
+        for _, r in with_knee.iterrows()
     ]
-    told = f" ({'; '.join(where)})" if where else ""
+    listed = f" ({'; '.join(where)})" if where else ""
     return (
-        f"An abrupt change of the error, the paper's knee, is found on {len(there)} of "
-        f"{len(table)} curves, a curve a data set, backend and similarity{told}."
+        f"An abrupt change of the error, the paper's knee, is found on {len(with_knee)} of "
+        f"{len(table)} curves, a curve a data set, backend and similarity{listed}."
     )
 
 
 def area_table(table: pd.DataFrame, compared: str) -> str:
     """A row a data set and backend, a column a similarity."""
-    here = table[table["compared"] == compared]
+    chosen = table[table["compared"] == compared]
     rows = []
-    for (title, backend), group in here.groupby(["data", "backend"], sort=False):
+    for (title, backend), group in chosen.groupby(["data", "backend"], sort=False):
         areas = group.set_index("predictor")
-        cells = [_area(areas.loc[name]) if name in areas.index else "" for name in _columns(here)]
+        cells = [_area(areas.loc[name]) if name in areas.index else "" for name in _columns(chosen)]
         counts = group.iloc[0]
         both = f"{counts['successes']:.0f} / {counts['failures']:.0f}"
         rows.append([str(title), str(backend), both, *cells])
-    return markdown(rows, ["data", "backend", "succeed / fail", *_columns(here)])
+    return markdown(rows, ["data", "backend", "succeed / fail", *_columns(chosen)])
 
 
 def _columns(table: pd.DataFrame) -> list[str]:
@@ -131,16 +131,16 @@ def count_table(table: pd.DataFrame) -> str:
     surely below, and surely above the gap's; and the median cost of a pair."""
     rows = []
     for name in SIMILARITIES:
-        here = table[table["predictor"] == name]
+        own = table[table["predictor"] == name]
         row = [name]
         for compared in MOST:
-            part = here[(here["compared"] == compared) & here["auc_low"].notna()]
+            part = own[(own["compared"] == compared) & own["auc_low"].notna()]
             above, below = int((part["auc_low"] > 0.5).sum()), int((part["auc_high"] < 0.5).sum())
             row.append(f"{above} / {below} of {len(part)}")
-        part = here[(here["compared"] == "all gaps") & here["minus_gap_low"].notna()]
+        part = own[(own["compared"] == "all gaps") & own["minus_gap_low"].notna()]
         more, less = int((part["minus_gap_low"] > 0).sum()), int((part["minus_gap_high"] < 0).sum())
         row.append(f"{more} / {less} of {len(part)}")
-        row += [f"{here[key].median():.3g}" for key in ("score_us", "describe_us")]
+        row += [f"{own[key].median():.3g}" for key in ("score_us", "describe_us")]
         rows.append(row)
     headers = ["similarity", "above / below chance, all gaps", "the same at equal gaps"]
     headers += ["better / worse than the gap itself", "a pair (us)", "a scan (us)"]
@@ -171,12 +171,12 @@ def study(sets: dict[str, tuple[str, list[str]]], options: argparse.Namespace) -
     for name, (title, words) in sets.items():
         print(title, flush=True)
         try:
-            found = calibrated(options.out / "calibrate" / name, words, options)
+            areas = calibrated(options.out / "calibrate" / name, words, options)
         except RbtmBenchError as error:
             left_out.append(f"{title} ({error})")
             print(f"failed: {error}", file=sys.stderr)
             continue
-        tables.append(found.assign(data=title))
+        tables.append(areas.assign(data=title))
         curves.append(knees(options.out / "calibrate" / name).assign(data=title))
     if not tables:
         raise DataError("no data set could be calibrated")

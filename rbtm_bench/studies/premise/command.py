@@ -33,7 +33,7 @@ from rbtm_bench.studies.campaign import Campaign, begin
 from rbtm_bench.studies.options import DATA, data_folder, make_parser
 from rbtm_bench.studies.premise import numbers
 from rbtm_bench.studies.premise.figures import draw
-from rbtm_bench.studies.premise.numbers import Key, Outcome
+from rbtm_bench.studies.premise.numbers import Key, TryOutcome
 from rbtm_bench.studies.premise.plan import (
     BACKENDS,
     BOUNDS,
@@ -49,7 +49,7 @@ from rbtm_bench.studies.premise.plan import (
     simulated,
     tries,
 )
-from rbtm_bench.studies.premise.words import Found, final_lines, readme, table_page
+from rbtm_bench.studies.premise.words import PremiseTables, final_lines, readme, table_page
 
 OUT = Path("results/premise")
 DRAWS = tuple(range(5))
@@ -57,7 +57,7 @@ DRAWS = tuple(range(5))
 
 
 @dataclass(frozen=True)
-class Study:
+class PremiseStudy:
     """All tries of all places, by place, backend and strategy."""
 
     places: dict[str, Place]
@@ -66,18 +66,18 @@ class Study:
     def chosen_among(self) -> Iterable[tuple[Key, list[Try]]]:
         """What has something to choose; random gaps take the choice of the RBTM beside them."""
         return (
-            (key, found)
-            for key, found in self.tries.items()
+            (key, group)
+            for key, group in self.tries.items()
             if key[2] in STRATEGIES and key[2] not in CHANCE
         )
 
 
-def make_study(places: Sequence[Place], backends: Sequence[str]) -> Study:
-    found: dict[Key, list[Try]] = {}
+def make_study(places: Sequence[Place], backends: Sequence[str]) -> PremiseStudy:
+    by_key: dict[Key, list[Try]] = {}
     for place in places:
         for one in tries(place, backends):
-            found.setdefault((place.name, one.backend, one.strategy), []).append(one)
-    return Study({place.name: place for place in places}, found)
+            by_key.setdefault((place.name, one.backend, one.strategy), []).append(one)
+    return PremiseStudy({place.name: place for place in places}, by_key)
 
 
 def choosing_seeds(kind: Kind) -> tuple[int, ...]:
@@ -90,9 +90,9 @@ def shown_seeds(kind: Kind, strategy: str) -> tuple[int, ...]:
     return DRAWS if strategy in CHANCE else ()
 
 
-def first_runs(study: Study) -> list[Point]:
+def first_runs(study: PremiseStudy) -> list[Point]:
     """The runs that settings are chosen by; those on the same data one after the other."""
-    found = [
+    keyed = [
         (key[0], seed, point)
         for key, group in study.chosen_among()
         for one in group
@@ -100,17 +100,17 @@ def first_runs(study: Study) -> list[Point]:
         for point in points(one, (seed,) if one.place.kind.seeds else ())
     ]
     order = list(study.places)
-    found.sort(key=lambda item: (order.index(item[0]), item[1]))
-    return [point for _, _, point in found]
+    keyed.sort(key=lambda item: (order.index(item[0]), item[1]))
+    return [point for _, _, point in keyed]
 
 
-def choose(study: Study, folder: Path) -> dict[Key, tuple[Try, int, str]]:
+def choose(study: PremiseStudy, folder: Path) -> dict[Key, tuple[Try, int, str]]:
     """Of every place, backend and strategy the chosen try, of how many, and where it was chosen."""
     scores: dict[tuple[str, str, str, int], dict[str, float]] = {}
     for (place, backend, strategy), group in study.chosen_among():
         for one in group:
-            found = _scores(one, folder)
-            scores.setdefault((place, backend, strategy, one.k), {}).update(found)
+            of_try = _scores(one, folder)
+            scores.setdefault((place, backend, strategy, one.k), {}).update(of_try)
     chosen = {}
     for key, group in study.tries.items():
         place, backend, strategy = key
@@ -140,37 +140,37 @@ def _scores(one: Try, folder: Path) -> dict[str, float]:
     kind = one.place.kind
     seeds = choosing_seeds(kind)
     runs = numbers.read(folder, [point.name for point in points(one, seeds)])
-    found = numbers.errors(runs, kind, seeds)
+    errors = numbers.errors(runs, kind, seeds)
     if kind.seeds:
-        assert found is not None
-        return {str(seed): float(v) for seed, v in zip(seeds, found.values, strict=True)}
-    return {"": found.value if found else float("nan")}
+        assert errors is not None
+        return {str(seed): float(v) for seed, v in zip(seeds, errors.values, strict=True)}
+    return {"": errors.value if errors else float("nan")}
 
 
-def second_runs(study: Study, chosen: dict[Key, tuple[Try, int, str]]) -> list[Point]:
+def second_runs(study: PremiseStudy, chosen: dict[Key, tuple[Try, int, str]]) -> list[Point]:
     """The runs that are shown."""
-    found: dict[str, tuple[str, int, Point]] = {}
+    by_name: dict[str, tuple[str, int, Point]] = {}
     for key, (one, _, _) in chosen.items():
         seeds = shown_seeds(one.place.kind, key[2])
         for seed, point in zip(seeds or (0,), points(one, seeds), strict=True):
-            found[point.name] = (key[0], seed, point)
+            by_name[point.name] = (key[0], seed, point)
     order = list(study.places)
-    ordered = sorted(found.values(), key=lambda item: (order.index(item[0]), item[1]))
+    ordered = sorted(by_name.values(), key=lambda item: (order.index(item[0]), item[1]))
     return [point for _, _, point in ordered]
 
 
-def outcomes(chosen: dict[Key, tuple[Try, int, str]], folder: Path) -> dict[Key, Outcome]:
-    found = {}
+def outcomes(chosen: dict[Key, tuple[Try, int, str]], folder: Path) -> dict[Key, TryOutcome]:
+    by_key = {}
     for key, (one, tried, where) in chosen.items():
         seeds = shown_seeds(one.place.kind, key[2])
         names = [point.name for point in points(one, seeds)]
         runs = numbers.read(folder, names)
         errors = numbers.errors(runs, one.place.kind, seeds)
-        found[key] = Outcome(one, tried, where, runs, len(names), errors)
-    return found
+        by_key[key] = TryOutcome(one, tried, where, runs, len(names), errors)
+    return by_key
 
 
-def study_all(study: Study, options: argparse.Namespace, command: str) -> int:
+def study_all(study: PremiseStudy, options: argparse.Namespace, command: str) -> int:
     """Everything in order; the last thing printed is the share of the way to the oracle."""
     started = time.perf_counter()
     folder = options.out / "runs"
@@ -179,14 +179,14 @@ def study_all(study: Study, options: argparse.Namespace, command: str) -> int:
         campaign.make("choosing settings", first_runs(study))
         chosen = choose(study, folder)
         campaign.make("shown", second_runs(study, chosen))
-    found = outcomes(chosen, folder)
-    tables = Found(
-        numbers.table(found),
-        numbers.against(found),
-        numbers.shares(found),
-        numbers.shares(found, "oracle_pose"),
+    results = outcomes(chosen, folder)
+    tables = PremiseTables(
+        numbers.table(results),
+        numbers.against(results),
+        numbers.shares(results),
+        numbers.shares(results, "oracle_pose"),
         {
-            (ours, bound): numbers.pooled_share(found, ours, bound)
+            (ours, bound): numbers.pooled_share(results, ours, bound)
             for ours in RBTM
             for bound in BOUNDS
         },
@@ -211,7 +211,9 @@ def study_all(study: Study, options: argparse.Namespace, command: str) -> int:
     return 1 if campaign.failed else 0
 
 
-def write_reference(tables: Found, page: str, figures: Sequence[Path], folder: Path) -> None:
+def write_reference(
+    tables: PremiseTables, page: str, figures: Sequence[Path], folder: Path
+) -> None:
     """The page, a table without times, and the pictures, to be committed."""
     make_folder(folder)
     small = tables.table.drop(columns=["ms_per_scan"])
@@ -225,7 +227,7 @@ def write_reference(tables: Found, page: str, figures: Sequence[Path], folder: P
 
 
 def make_places(options: argparse.Namespace) -> list[Place]:
-    """The data sets of the options. Raises ``DataError`` for logs that are not there."""
+    """The data sets of the options. Raises ``DataError`` for missing logs."""
     default = 3 if options.quick else 20
     seeds = default if options.seeds is None else options.seeds
     if not 1 <= seeds <= 100:
@@ -250,11 +252,11 @@ def _wanted(places: list[Place], names: str | None) -> list[Place]:
     for name in wanted:
         if name not in known:
             raise ConfigError(f"--places {name}: no such data here. Known: {', '.join(known)}")
-    found = [known[name] for name in wanted]
-    for place in found:
-        if not place.kind.seeds and sum(other.kind == place.kind for other in found) < 2:
+    chosen = [known[name] for name in wanted]
+    for place in chosen:
+        if not place.kind.seeds and sum(other.kind == place.kind for other in chosen) < 2:
             raise ConfigError(f"--places {names}: {place.name} has no other log to choose by")
-    return found
+    return chosen
 
 
 def sharing(places: list[Place], folder: Path | None) -> list[Place]:

@@ -14,7 +14,7 @@ from matplotlib.ticker import NullLocator
 from rbtm_bench.plots import panels, style
 from rbtm_bench.plots.looks import Look
 from rbtm_bench.studies.premise.plan import BOUNDS, NOTHING, STRATEGIES, Place
-from rbtm_bench.studies.premise.words import Found
+from rbtm_bench.studies.premise.words import PremiseTables
 
 LOOKS = {
     "open3d_p2p": Look(style.VERMILION, "-", 1.0, "D", filled=True),
@@ -24,23 +24,23 @@ LOOKS = {
 SPARE = Look("0.45", "-", 1.0, "^")
 SHOWN = ("rbtm", "rbtm_overlap")
 LEAST = -3.0
-"""Shares below are drawn there."""
+"""Shares below this are drawn at it."""
 ROW = 0.19
 """Height of a strategy, inches."""
 APART = 0.22
 """Between the backends of a strategy, in rows."""
 
 
-def draw(found: Found, places: Sequence[Place], out: Path) -> list[Path]:
+def draw(tables: PremiseTables, places: Sequence[Place], out: Path) -> list[Path]:
     """``errors`` and ``shares`` as PNG and PDF; returns the PNGs."""
     written = []
     with style.paper():
         for kind in dict.fromkeys(place.kind.name for place in places):
-            here = [place for place in places if place.kind.name == kind]
-            written += style.save(_errors(found.table, here), out, f"errors_{kind}")
-        if len(found.all_shares):
+            of_kind = [place for place in places if place.kind.name == kind]
+            written += style.save(_errors(tables.table, of_kind), out, f"errors_{kind}")
+        if len(tables.all_shares):
             names = {place.name: place.title for place in places}
-            written += style.save(_shares(found.all_shares, names), out, "shares")
+            written += style.save(_shares(tables.all_shares, names), out, "shares")
     return [file for file in written if file.suffix == ".png"]
 
 
@@ -94,13 +94,13 @@ def _error_panel(
 
 def _shares(table: pd.DataFrame, names: dict[str, str]) -> Figure:
     """The share of the way from random gaps to the oracle that RBTM covers."""
-    here = table[(table["bound"] == "oracle") & table["strategy"].isin(SHOWN)]
-    places = [name for name in names if name in set(here["place"])]
-    backends = list(dict.fromkeys(here["backend"]))
+    shown = table[(table["bound"] == "oracle") & table["strategy"].isin(SHOWN)]
+    places = [name for name in names if name in set(shown["place"])]
+    backends = list(dict.fromkeys(shown["backend"]))
     figure = Figure(figsize=(style.DOUBLE, len(places) * ROW * 1.3 + 1.2))
     grid = figure.subplots(1, len(SHOWN), sharey=True, sharex=True, squeeze=False)
     for ax, strategy in zip(grid.ravel(), SHOWN, strict=True):
-        rows = here[here["strategy"] == strategy]
+        rows = shown[shown["strategy"] == strategy]
         for i, place in enumerate(places):
             for j, backend in enumerate(backends):
                 y = i + APART * (j - (len(backends) - 1) / 2)

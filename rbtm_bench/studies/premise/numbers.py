@@ -51,7 +51,7 @@ Key = tuple[str, str, str]
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Errors (n,) with the cluster and the stratum of each; NaN where there is none."""
+    """Errors (n,) with the cluster and the stratum of each; NaN where unknown."""
 
     values: Array
     clusters: NDArray[np.intp]
@@ -61,46 +61,46 @@ class Errors:
     @property
     def value(self) -> float:
         """Median or mean of all; NaN for none."""
-        there = self.values[~np.isnan(self.values)]
-        if len(there) == 0:
+        known = self.values[~np.isnan(self.values)]
+        if len(known) == 0:
             return math.nan
-        return float(np.median(there) if self.median else np.mean(there))
+        return float(np.median(known) if self.median else np.mean(known))
 
     def interval(self) -> Interval:
         """With its bootstrap interval."""
-        there = self.values[~np.isnan(self.values)]
-        if len(there) == 0:
+        known = self.values[~np.isnan(self.values)]
+        if len(known) == 0:
             return Interval(math.nan, None, None, 0)
         if self.median:
-            return intervals.interval(there)
+            return intervals.interval(known)
         return intervals.cluster_interval(self.values, self.clusters, self.strata)
 
     def minus(self, other: Errors) -> tuple[Interval, float | None]:
         """The interval of the paired differences, and p of the signed-rank test over seeds."""
         off = self.values - other.values
-        found = replace(self, values=off).interval()
-        return found, intervals.signed_rank(off[~np.isnan(off)]) if self.median else None
+        over = replace(self, values=off).interval()
+        return over, intervals.signed_rank(off[~np.isnan(off)]) if self.median else None
 
     def beside(self, other: Errors) -> float:
         """Median or mean over what the other has as well."""
         return replace(self, values=np.where(np.isnan(other.values), np.nan, self.values)).value
 
     def lacks(self, other: Errors) -> bool:
-        """Whether there is an error that the other has and this one has not."""
+        """Whether the other has an error that this one has not."""
         return bool((np.isnan(self.values) & ~np.isnan(other.values)).any())
 
 
 def read(folder: Path, names: Sequence[str]) -> list[Run]:
     """The runs that are done, in this order; failed ones and missing ones are left out."""
-    found = []
+    runs = []
     for name in names:
         try:
             run = read_run(folder / name)
         except DataError:
             continue
         if run.done:
-            found.append(run)
-    return found
+            runs.append(run)
+    return runs
 
 
 def errors(runs: Sequence[Run], kind: Kind, seeds: Sequence[int] = ()) -> Errors | None:
@@ -115,15 +115,15 @@ def errors(runs: Sequence[Run], kind: Kind, seeds: Sequence[int] = ()) -> Errors
         return Errors(values, each, np.zeros(len(values), bool), median=True)
     if not runs:
         return None
-    found = [_of_relations(run) if kind.name == "raw" else _of_segments(run) for run in runs]
-    values = np.mean([one.values for one in found], axis=0)
-    return Errors(values, found[0].clusters, found[0].strata, median=False)
+    per_run = [_of_relations(run) if kind.name == "raw" else _of_segments(run) for run in runs]
+    values = np.mean([one.values for one in per_run], axis=0)
+    return Errors(values, per_run[0].clusters, per_run[0].strata, median=False)
 
 
 def _of_relations(run: Run) -> Errors:
-    found = RelationErrors.read(run.path / FILE)
-    clusters = intervals.relation_clusters(found.start, found.end, found.local)
-    return Errors(found.translation_m, clusters, found.local, median=False)
+    relations = RelationErrors.read(run.path / FILE)
+    clusters = intervals.relation_clusters(relations.start, relations.end, relations.local)
+    return Errors(relations.translation_m, clusters, relations.local, median=False)
 
 
 def _of_segments(run: Run) -> Errors:
@@ -160,8 +160,8 @@ def choose(scores: Mapping[tuple[str, int], float]) -> int:
     lost = {k: sum(math.isnan(v) for v in values) for k, values in known.items()}
 
     def rank(k: int) -> tuple[float, float, int]:
-        there = [math.log(max(v, LEAST)) for v in known[k] if not math.isnan(v)]
-        return lost[k], sum(there) / len(there) if there else math.inf, k
+        logs = [math.log(max(v, LEAST)) for v in known[k] if not math.isnan(v)]
+        return lost[k], sum(logs) / len(logs) if logs else math.inf, k
 
     return min(tries, key=rank)
 
@@ -170,11 +170,11 @@ def share(random: Errors, ours: Errors, bound: Errors) -> Interval:
     """How much of the way from random_gap to the bound is covered: (random - ours) / (random -
     bound) of medians or means, with a percentile interval over seeds or clusters.
 
-    NaN where the bound is not surely below random_gap: then there is no way to cover.
+    NaN where the bound is not surely below random_gap: then no way is left to cover.
     """
-    there = ~np.isnan(random.values + ours.values + bound.values)
-    groups = np.unique(random.clusters[there], return_inverse=True)[1]
-    columns = np.stack([one.values[there] for one in (random, ours, bound)])
+    known = ~np.isnan(random.values + ours.values + bound.values)
+    groups = np.unique(random.clusters[known], return_inverse=True)[1]
+    columns = np.stack([one.values[known] for one in (random, ours, bound)])
     n = int(groups.max()) + 1 if len(groups) else 0
     if n < intervals.FEWEST:
         return Interval(math.nan, None, None, n)
@@ -198,7 +198,7 @@ def share(random: Errors, ours: Errors, bound: Errors) -> Interval:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class TryOutcome:
     """A chosen try on a place: its runs that are done, of how many, and their errors."""
 
     one: Try
@@ -209,10 +209,10 @@ class Outcome:
     errors: Errors | None
 
 
-def table(found: Mapping[Key, Outcome]) -> pd.DataFrame:
+def table(outcomes: Mapping[Key, TryOutcome]) -> pd.DataFrame:
     """A row a place, backend and strategy."""
     rows = []
-    for (place, backend, strategy), outcome in found.items():
+    for (place, backend, strategy), outcome in outcomes.items():
         kind = outcome.one.place.kind
         over = outcome.errors.interval() if outcome.errors else Interval(math.nan, None, None, 0)
         rows.append(
@@ -232,18 +232,18 @@ def table(found: Mapping[Key, Outcome]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def against(found: Mapping[Key, Outcome], ours: str = "rbtm") -> pd.DataFrame:
+def against(outcomes: Mapping[Key, TryOutcome], ours: str = "rbtm") -> pd.DataFrame:
     """A row a place, backend and other strategy: rbtm minus it, paired. ``holds`` says "better" or
     "worse" where the interval excludes 0 and, over seeds, the signed-rank test adjusted for all
     comparisons of a place and backend (Holm) is below 0.05; never of a side of which a run failed
     where the other's did not."""
     rows: list[dict[str, Any]] = []
-    for place, backend in dict.fromkeys((p, b) for p, b, s in found if s == ours):
-        here: list[dict[str, Any]] = []
-        mine = found[place, backend, ours].errors
+    for place, backend in dict.fromkeys((p, b) for p, b, s in outcomes if s == ours):
+        group: list[dict[str, Any]] = []
+        mine = outcomes[place, backend, ours].errors
         others = [(NOTHING, NOTHING), *((backend, s) for s in (*STRATEGIES, *BOUNDS) if s != ours)]
         for other_backend, strategy in others:
-            outcome = found.get((place, other_backend, strategy))
+            outcome = outcomes.get((place, other_backend, strategy))
             theirs = outcome.errors if outcome else None
             if mine is None or theirs is None:
                 continue
@@ -254,23 +254,23 @@ def against(found: Mapping[Key, Outcome], ours: str = "rbtm") -> pd.DataFrame:
             winner, loser = (mine, theirs) if over.value < 0 else (theirs, mine)
             # the runs that failed are not in the difference: their side is not called better
             sure = over.excludes(0) and not winner.lacks(loser)
-            here.append({**row, "n": over.n, "p": p, "tested": mine.median, "sure": sure})
-        for row, p in zip(here, intervals.holm([row["p"] for row in here]), strict=True):
+            group.append({**row, "n": over.n, "p": p, "tested": mine.median, "sure": sure})
+        for row, p in zip(group, intervals.holm([row["p"] for row in group]), strict=True):
             tested = row.pop("tested")
             holds = row.pop("sure") and (not tested or (p is not None and p < SIGNIFICANT))
             row["p_holm"] = math.nan if p is None else p
             row["holds"] = ("better" if row["difference"] < 0 else "worse") if holds else ""
-        rows += here
+        rows += group
     return pd.DataFrame(rows)
 
 
-def shares(found: Mapping[Key, Outcome], bound: str = "oracle") -> pd.DataFrame:
+def shares(outcomes: Mapping[Key, TryOutcome], bound: str = "oracle") -> pd.DataFrame:
     """A row a place, backend and method between chance and the bound: ``share``."""
     rows = []
-    for place, backend in dict.fromkeys((p, b) for p, b, s in found if s == bound):
+    for place, backend in dict.fromkeys((p, b) for p, b, s in outcomes if s == bound):
         for strategy in RBTM:
-            ends = [found[place, backend, name].errors for name in (chance_of(strategy), bound)]
-            mine = found[place, backend, strategy].errors
+            ends = [outcomes[place, backend, name].errors for name in (chance_of(strategy), bound)]
+            mine = outcomes[place, backend, strategy].errors
             if mine is None or ends[0] is None or ends[1] is None:
                 continue
             over = share(ends[0], mine, ends[1])
@@ -287,15 +287,15 @@ def chance_of(ours: str) -> str:
     return next((name for name, of in CHANCE.items() if of == ours), "random_gap")
 
 
-def pooled_share(found: Mapping[Key, Outcome], ours: str, bound: str = "oracle") -> Interval:
+def pooled_share(outcomes: Mapping[Key, TryOutcome], ours: str, bound: str = "oracle") -> Interval:
     """The share over all simulated places and backends, of logarithms, so that a ratio counts the
     same everywhere: mean log(random / ours) over mean log(random / bound). Seeds are resampled,
     each with all its places and backends."""
     ways, gains = [], []
-    for place, backend, strategy in found:
-        if strategy != bound or found[place, backend, bound].one.place.kind.name != SIMULATED:
+    for place, backend, strategy in outcomes:
+        if strategy != bound or outcomes[place, backend, bound].one.place.kind.name != SIMULATED:
             continue
-        three = [found[place, backend, name].errors for name in (chance_of(ours), ours, bound)]
+        three = [outcomes[place, backend, name].errors for name in (chance_of(ours), ours, bound)]
         if all(three):
             logs = [np.log(np.maximum(one.values, LEAST)) for one in three if one]
             ways.append(logs[0] - logs[1])
@@ -303,8 +303,12 @@ def pooled_share(found: Mapping[Key, Outcome], ours: str, bound: str = "oracle")
     if not ways:
         return Interval(math.nan, None, None, 0)
     way, gain = np.stack(ways), np.stack(gains)
-    there = ~np.isnan(way + gain).any(axis=0)  # seeds of which no run has failed
-    way, gain, n = way[:, there].mean(axis=0), gain[:, there].mean(axis=0), int(there.sum())
+    complete = ~np.isnan(way + gain).any(axis=0)  # seeds of which no run has failed
+    way, gain, n = (
+        way[:, complete].mean(axis=0),
+        gain[:, complete].mean(axis=0),
+        int(complete.sum()),
+    )
     value = float(way.mean() / gain.mean()) if n and gain.mean() > 0 else math.nan
     if n < intervals.FEWEST:
         return Interval(value, None, None, n)
@@ -321,5 +325,5 @@ def _number(value: float | None) -> float:
 
 
 def _mean(runs: Sequence[Run], key: str) -> float:
-    there = [float(run.metrics[key]) for run in runs if run.metrics.get(key) is not None]
-    return sum(there) / len(there) if there else math.nan
+    known = [float(run.metrics[key]) for run in runs if run.metrics.get(key) is not None]
+    return sum(known) / len(known) if known else math.nan

@@ -30,7 +30,7 @@ BOUNDS = ("oracle", "oracle_pose")
 NOTHING = "none"
 
 FIRST_CHOICE = 100
-"""Seeds from here on choose settings; those from 0 on are shown."""
+"""Seeds from this one on choose settings; those from 0 on are shown."""
 COMMON = ("guess=odometry", "pictures=false", "overwrite=true")
 """With odometry as the guess a registration depends on its pair alone: strategies differ in what
 they choose and in nothing else, and share what they have in common."""
@@ -70,7 +70,7 @@ class Kind:
     """Data sets that choose settings for one another. ``window`` is that of rbtm and of the bounds;
     ``words`` hold for every run. Of ``seeds`` the first choose, the others are shown; none: logs,
     of which each is shown with the settings that the others chose. ``truth``: every scan has a true
-    pose, so that there is a bound."""
+    pose, so that a bound exists."""
 
     name: str
     title: str
@@ -231,10 +231,10 @@ def _of_strategy(place: Place, backend: str, strategy: str, window: str) -> Iter
             continue
         overrides = (source or point).settings.overrides
         k = next(i for i, v in enumerate(values) if f"{knob}={shown(v)}" in overrides)
-        found = Try(place, backend, strategy, k, point.settings, f"{knob}={shown(values[k])}")
+        one = Try(place, backend, strategy, k, point.settings, f"{knob}={shown(values[k])}")
         if source is not None:
-            found = replace(found, source=replace(found, strategy=CHANCE[strategy]).stem)
-        yield found
+            one = replace(one, source=replace(one, strategy=CHANCE[strategy]).stem)
+        yield one
 
 
 def _compose(place: Place, *words: str) -> list[Point]:
@@ -248,10 +248,10 @@ def points(one: Try, seeds: Sequence[int]) -> list[Point]:
     """The runs of a try, a seed each; on a log, where only random gaps are random, without any."""
     if not seeds:
         return [Point(one.stem, one.settings, one.source)]
-    found = []
+    runs = []
     for seed in seeds:
         source = one.source
         if source and one.place.kind.seeds:  # on a log several draws share the one run
             source = f"{source}-{seed}"
-        found.append(Point(f"{one.stem}-{seed}", with_value(one.settings, "seed", seed), source))
-    return found
+        runs.append(Point(f"{one.stem}-{seed}", with_value(one.settings, "seed", seed), source))
+    return runs

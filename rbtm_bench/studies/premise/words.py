@@ -15,11 +15,11 @@ from rbtm_bench.engine.sweep_folder import versions
 from rbtm_bench.report.intervals import FEWEST, Interval
 from rbtm_bench.studies.premise.plan import BOUNDS, NOTHING, RBTM, STRATEGIES, Place
 
-CONTROLS = (NOTHING, "previous", "keyframe", "fixed_gap", "random_gap", "best")
+CONTROL_STRATEGIES = (NOTHING, "previous", "keyframe", "fixed_gap", "random_gap", "best")
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class PremiseTables:
     """The tables of ``premise_numbers``; shares to the oracle by registration, and by pose."""
 
     table: pd.DataFrame
@@ -35,7 +35,7 @@ class Found:
 
 
 def number(value: float) -> str:
-    """Three digits; nothing for a number that is not there."""
+    """Three digits; nothing for NaN."""
     if value != value:
         return ""
     return f"{value:.0f}" if abs(value) >= 99.95 else f"{float(f'{value:.3g}'):g}"
@@ -45,14 +45,14 @@ def markdown(rows: Sequence[Sequence[str]], headers: Sequence[str]) -> str:
     return tabulate(rows, headers, tablefmt="pipe", disable_numparse=True)
 
 
-def wide(found: Found, place: str) -> str:
+def wide(tables: PremiseTables, place: str) -> str:
     """A place's table: a row a strategy, a column a backend, with what was chosen."""
-    here = found.table[found.table["place"] == place]
-    backends = [b for b in dict.fromkeys(here["backend"]) if b != NOTHING]
-    cells = {(r["backend"], r["strategy"]): r for _, r in here.iterrows()}
+    of_place = tables.table[tables.table["place"] == place]
+    backends = [b for b in dict.fromkeys(of_place["backend"]) if b != NOTHING]
+    cells = {(r["backend"], r["strategy"]): r for _, r in of_place.iterrows()}
     holds = {
         (r["backend"], r["strategy"]): r["holds"]
-        for _, r in found.against[found.against["place"] == place].iterrows()
+        for _, r in tables.against[tables.against["place"] == place].iterrows()
     }
     rows = []
     for strategy in (NOTHING, *STRATEGIES, *BOUNDS):
@@ -63,7 +63,7 @@ def wide(found: Found, place: str) -> str:
             row.append("" if cell is None else _cell(cell, holds.get((backend, strategy), "")))
         if any(row[1:]):
             rows.append(row)
-    unit = here["unit"].iloc[0]
+    unit = of_place["unit"].iloc[0]
     return markdown(rows, ["strategy", *(f"{backend} ({unit})" for backend in backends)])
 
 
@@ -83,33 +83,33 @@ def _cell(row: pd.Series, holds: str) -> str:
     return text + setting + SIGN[holds]
 
 
-def counts(found: Found, names: Sequence[str], strategy: str) -> tuple[int, int, int]:
+def counts(tables: PremiseTables, names: Sequence[str], strategy: str) -> tuple[int, int, int]:
     """On how many places and backends rbtm is better, worse, and neither."""
-    here = found.against
-    here = here[here["place"].isin(list(names)) & (here["strategy"] == strategy)]
-    better, worse = ((here["holds"] == word).sum() for word in ("better", "worse"))
-    return int(better), int(worse), len(here) - int(better) - int(worse)
+    rows = tables.against
+    rows = rows[rows["place"].isin(list(names)) & (rows["strategy"] == strategy)]
+    better, worse = ((rows["holds"] == word).sum() for word in ("better", "worse"))
+    return int(better), int(worse), len(rows) - int(better) - int(worse)
 
 
-def verdicts(found: Found, places: Mapping[str, Place]) -> list[str]:
+def verdicts(tables: PremiseTables, places: Mapping[str, Place]) -> list[str]:
     """A line a kind of data and control."""
     lines = []
     for kind in dict.fromkeys(place.kind.name for place in places.values()):
-        here = [place for place in places.values() if place.kind.name == kind]
-        names = [place.name for place in here]
+        group = [place for place in places.values() if place.kind.name == kind]
+        names = [place.name for place in group]
         parts = []
-        for strategy in (*CONTROLS, *RBTM[1:]):
-            better, worse, neither = counts(found, names, strategy)
+        for strategy in (*CONTROL_STRATEGIES, *RBTM[1:]):
+            better, worse, neither = counts(tables, names, strategy)
             if better + worse + neither:
                 parts.append(f"{strategy} {better} / {worse} / {neither}")
-        lines.append(f"- {here[0].kind.title}: {'; '.join(parts)}.")
+        lines.append(f"- {group[0].kind.title}: {'; '.join(parts)}.")
     return lines
 
 
-def relative_table(found: Found, places: Mapping[str, Place]) -> str:
+def relative_table(tables: PremiseTables, places: Mapping[str, Place]) -> str:
     """Errors over those of the previous scan: a row a strategy, a column a kind of data, geometric
     means over its places and backends."""
-    errors = found.table[found.table["backend"] != NOTHING].pivot_table(
+    errors = tables.table[tables.table["backend"] != NOTHING].pivot_table(
         index=["place", "backend"], columns="strategy", values="error"
     )
     ratios = errors.div(errors["previous"], axis=0)
@@ -124,17 +124,17 @@ def relative_table(found: Found, places: Mapping[str, Place]) -> str:
     return markdown(rows, ["strategy", *titles])
 
 
-def share_table(found: Found, bound: str, places: Mapping[str, Place]) -> str:
+def share_table(tables: PremiseTables, bound: str, places: Mapping[str, Place]) -> str:
     """A row a place and method; then those of all simulated places together."""
-    shares = found.all_shares[found.all_shares["bound"] == bound]
+    shares = tables.all_shares[tables.all_shares["bound"] == bound]
     backends = list(dict.fromkeys(shares["backend"]))
     rows = []
-    for (place, strategy), here in shares.groupby(["place", "strategy"], sort=False):
-        cells = {str(r["backend"]): _share(r) for _, r in here.iterrows()}
+    for (place, strategy), group in shares.groupby(["place", "strategy"], sort=False):
+        cells = {str(r["backend"]): _share(r) for _, r in group.iterrows()}
         rows.append(
             [places[str(place)].title, str(strategy), *(cells.get(b, "") for b in backends)]
         )
-    for (strategy, name), over in found.pooled.items():
+    for (strategy, name), over in tables.pooled.items():
         if name == bound and over.n:
             text = _share({"share": over.value, "low": over.low, "high": over.high, "n": over.n})
             empty = [""] * (len(backends) - 1)
@@ -154,22 +154,22 @@ def _share(row: Any) -> str:
 
 def share_words(shares: pd.DataFrame, ours: str = "rbtm") -> str:
     """How many intervals lie above 0, below 0, or hold it."""
-    here = shares[(shares["strategy"] == ours) & (shares["n"] >= FEWEST)]
-    there = here[here["share"].notna()]
-    above, below = int((there["low"] > 0).sum()), int((there["high"] < 0).sum())
+    rows = shares[(shares["strategy"] == ours) & (shares["n"] >= FEWEST)]
+    known = rows[rows["share"].notna()]
+    above, below = int((known["low"] > 0).sum()), int((known["high"] < 0).sum())
     return (
-        f"of {len(here)} pairs of data and backend {len(here) - len(there)} leave no way to cover "
-        f"(the bound is not surely better than a random gap); of the other {len(there)} {ours} is "
-        f"above chance in {above}, below it in {below}, and neither in {len(there) - above - below}"
+        f"of {len(rows)} pairs of data and backend {len(rows) - len(known)} leave no way to cover "
+        f"(the bound is not surely better than a random gap); of the other {len(known)} {ours} is "
+        f"above chance in {above}, below it in {below}, and neither in {len(known) - above - below}"
     )
 
 
-def why(found: Found, places: Mapping[str, Place]) -> list[str]:
+def why(tables: PremiseTables, places: Mapping[str, Place]) -> list[str]:
     """What the gaps and the fallbacks say of where RBTM stands, a line a place."""
     lines = []
     for name, place in places.items():
-        here = found.table[found.table["place"] == name]
-        ours = here[here["strategy"] == "rbtm"].set_index("backend")
+        rows = tables.table[tables.table["place"] == name]
+        ours = rows[rows["strategy"] == "rbtm"].set_index("backend")
         if ours.empty:
             continue
         gaps = ours["mean_gap"]
@@ -182,7 +182,7 @@ def why(found: Found, places: Mapping[str, Place]) -> list[str]:
             )
         winners = []
         for backend in ours.index:
-            own = here[(here["backend"] == backend) & here["strategy"].isin(STRATEGIES)]
+            own = rows[(rows["backend"] == backend) & rows["strategy"].isin(STRATEGIES)]
             if own["error"].notna().any():
                 winners.append(f"{own.loc[own['error'].idxmin(), 'strategy']} ({backend})")
         words.append(f"least error: {', '.join(winners)}")
@@ -195,23 +195,23 @@ def _scans(place: Place) -> int | None:
     return int(word.partition("=")[2]) - 1 if word else None
 
 
-def final_lines(found: Found) -> list[str]:
+def final_lines(tables: PremiseTables) -> list[str]:
     """The end of what is printed."""
     lines = ["share of the way from a random gap (rbtm's own gaps) to the oracle, rbtm:"]
-    here = found.shares[found.shares["strategy"] == "rbtm"]
-    for _, row in here.iterrows():
+    rows = tables.shares[tables.shares["strategy"] == "rbtm"]
+    for _, row in rows.iterrows():
         lines.append(f"  {row['place']:16} {row['backend']:15} {_share(row)}")
-    for (strategy, bound), over in found.pooled.items():
+    for (strategy, bound), over in tables.pooled.items():
         if bound == "oracle" and over.n:
             text = _share({"share": over.value, "low": over.low, "high": over.high, "n": over.n})
             lines.append(f"  all simulated places and backends, of logarithms, {strategy}: {text}")
-    return [*lines, share_words(found.shares)]
+    return [*lines, share_words(tables.shares)]
 
 
-def table_page(found: Found, command: str) -> str:
+def table_page(tables: PremiseTables, command: str) -> str:
     """All numbers as Markdown."""
     rows = []
-    for _, r in found.table.iterrows():
+    for _, r in tables.table.iterrows():
         rows.append(
             [
                 r["data"], r["backend"], r["strategy"], r["setting"], str(r["tried"]),
@@ -225,7 +225,22 @@ def table_page(found: Found, command: str) -> str:
     return f"# All rows\n\nMade by `{command}`.\n\n{markdown(rows, headers)}\n"
 
 
-def readme(found: Found, places: Mapping[str, Place], command: str, figures: Sequence[Path]) -> str:
+CAVEATS = (
+    "Errors: final position (mm), median over seeds, on simulated places; on keyframes the "
+    "translation error (m) over the next 10 m of the true way, mean; on raw logs that of the "
+    "reference relations (m), mean. Brackets: 95 % bootstrap intervals over seeds, or over "
+    "clusters of place and time. On logs nothing is tested: of twenty such intervals one "
+    "misses by chance, and those of keyframes are somewhat short, as segments of 10 m cross "
+    "the borders of their blocks of 20 m. Raw logs have no true pose a scan, so no bound. On "
+    "keyframes the similarity searches turns of 30 deg, a setting that was chosen on these "
+    "very logs before (docs/similarity.md): that favours RBTM. In `bare` the similarity is "
+    "undefined everywhere (two straight walls), so RBTM always falls back to the scan before."
+)
+
+
+def readme(
+    tables: PremiseTables, places: Mapping[str, Place], command: str, figures: Sequence[Path]
+) -> str:
     """The page."""
     parts = [
         "# Does similarity choose the model scan better than chance at the same gap?",
@@ -237,53 +252,56 @@ def readme(found: Found, places: Mapping[str, Place], command: str, figures: Seq
         "ends nearest: bounds, no methods. `none` is the guess alone. `rbtm` reads the circular "
         "curvature, `rbtm_overlap` the overlap of the two scans under the guess; `rbtm_verified` "
         "adds `check=gated`.",
-        "## In short",
-        f"- Between chance and truth (oracle): {share_words(found.shares)}."
-        if len(found.shares)
-        else "- No data with a true pose for every scan: no bound.",
-        "- The same for RBTM with the overlap under the guess, and its own gaps: "
-        f"{share_words(found.shares, 'rbtm_overlap')}."
-        if len(found.shares)
-        else "",
-        "- RBTM against each other strategy, in how many pairs of data and backend it is surely "
-        "better / surely worse / neither (paired intervals; over seeds also the signed-rank test, "
-        "Holm):",
-        "\n".join("  " + line for line in verdicts(found, places)),
-        "- Errors over those of matching to the previous scan, geometric means over places and "
-        "backends:",
-        relative_table(found, places),
+        *_in_short(tables, places),
         "## Where RBTM stands, and why",
-        "\n".join(why(found, places)),
+        "\n".join(why(tables, places)),
         "What the gap alone does: a longer gap means fewer registrations in a chain, whatever "
         "chose it. Compare `rbtm` with `random_gap` for what similarity adds to that, and with "
         "`fixed_gap` and `keyframe` for what it costs nothing to know.",
+        *_shares_of_the_way(tables, places),
     ]
-    if len(found.shares):
-        parts += [
-            "## The share of the way from a random gap to the oracle",
-            "(random gap - method) / (random gap - oracle), the method's own gaps in random order "
-            "(for `rbtm_verified` those of `rbtm`), of medians over seeds or means over a log "
-            "[95 % bootstrap interval over seeds or place-time clusters]. 0 is chance, 1 the "
-            "oracle, below 0 worse than chance.",
-            share_table(found, "oracle", places),
-            "The same to `oracle_pose`:",
-            share_table(found, "oracle_pose", places),
-        ]
     for name, place in places.items():
-        parts += [f"## {place.title}", wide(found, name)]
+        parts += [f"## {place.title}", wide(tables, name)]
     parts += [
         "## What to know",
-        "Errors: final position (mm), median over seeds, on simulated places; on keyframes the "
-        "translation error (m) over the next 10 m of the true way, mean; on raw logs that of the "
-        "reference relations (m), mean. Brackets: 95 % bootstrap intervals over seeds, or over "
-        "clusters of place and time. On logs nothing is tested: of twenty such intervals one "
-        "misses by chance, and those of keyframes are somewhat short, as segments of 10 m cross "
-        "the borders of their blocks of 20 m. Raw logs have no true pose a scan, so no bound. On "
-        "keyframes the similarity searches turns of 30 deg, a setting that was chosen on these "
-        "very logs before (docs/similarity.md): that favours RBTM. In `bare` the similarity is "
-        "undefined everywhere (two straight walls), so RBTM always falls back to the scan before.",
+        CAVEATS,
         "## Pictures",
         "\n\n".join(f"![{file.stem}]({file.name})" for file in figures),
         "Made with " + ", ".join(f"{name} {v}" for name, v in versions().items() if v) + ".",
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _in_short(tables: PremiseTables, places: Mapping[str, Place]) -> list[str]:
+    return [
+        "## In short",
+        f"- Between chance and truth (oracle): {share_words(tables.shares)}."
+        if len(tables.shares)
+        else "- No data with a true pose for every scan: no bound.",
+        "- The same for RBTM with the overlap under the guess, and its own gaps: "
+        f"{share_words(tables.shares, 'rbtm_overlap')}."
+        if len(tables.shares)
+        else "",
+        "- RBTM against each other strategy, in how many pairs of data and backend it is surely "
+        "better / surely worse / neither (paired intervals; over seeds also the signed-rank test, "
+        "Holm):",
+        "\n".join("  " + line for line in verdicts(tables, places)),
+        "- Errors over those of matching to the previous scan, geometric means over places and "
+        "backends:",
+        relative_table(tables, places),
+    ]
+
+
+def _shares_of_the_way(tables: PremiseTables, places: Mapping[str, Place]) -> list[str]:
+    if not len(tables.shares):
+        return []
+    return [
+        "## The share of the way from a random gap to the oracle",
+        "(random gap - method) / (random gap - oracle), the method's own gaps in random order "
+        "(for `rbtm_verified` those of `rbtm`), of medians over seeds or means over a log "
+        "[95 % bootstrap interval over seeds or place-time clusters]. 0 is chance, 1 the "
+        "oracle, below 0 worse than chance.",
+        share_table(tables, "oracle", places),
+        "The same to `oracle_pose`:",
+        share_table(tables, "oracle_pose", places),
+    ]
