@@ -19,5 +19,6 @@ printf 'test: RBTM_BENCH_DATA=%s\n' "${RBTM_BENCH_DATA:-(unset: no tests on real
 "$python" -m ruff check .
 "$python" -m ruff format --check .
 "$python" -m mypy rbtm_bench
+"$repo/.venv/bin/lint-imports" --no-cache
 # worksteal: each worker begins with one half in order, so that few fixtures are made twice
 "$python" -m pytest -n 2 --dist worksteal "$@"

@@ -96,7 +96,7 @@ class Backend(ABC):
     """Names of the Python packages that must be importable."""
     library: str = ""
     """What does the work, with its licence, for the page of backends."""
-    converged_means: str = "not said by the library"
+    converged_means: str = "not reported by the library"
     """When ``converged`` is True, in words; never so, for the judge, with fewer than 3 inliers."""
     repeats: str = "same bits"
     """What makes results repeat bit for bit, and the threads it uses, in words."""

@@ -1,4 +1,4 @@
-"""What is declared of a number, once: whatever shows, stores or documents it asks here."""
+"""What is declared of a number, once: whatever shows, stores or documents it asks."""
 
 from __future__ import annotations
 

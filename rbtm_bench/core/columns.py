@@ -1,7 +1,7 @@
 """Every number of a run, declared once, in the order of tables.
 
 metrics.json, tables, the screen, the summary of a run and docs/metrics.md follow from this list; a
-new number is computed by its metric and written here.
+new number is computed by its metric and declared in this list.
 """
 
 from __future__ import annotations

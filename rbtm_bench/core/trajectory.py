@@ -148,7 +148,7 @@ class Trajectory:
 
         if len(self) == 0 or not self.known.all() or not np.isfinite(self.stamps).all():
             raise DataError(f"{path}: a TUM file needs at least one pose, and every pose known")
-        # Converted here, all at once: evo would do it pose by pose, much slower.
+        # Converted all at once: evo would do it pose by pose, much slower.
         rotations = Rotation.from_matrix(self.T_world_scan[:, :3, :3])
         poses = PoseTrajectory3D(
             positions_xyz=self.T_world_scan[:, :3, 3],

@@ -85,7 +85,7 @@ class Localizability:
 
 @dataclass(frozen=True, eq=False)
 class RegistrationResult:
-    """What a backend found out about one pair of scans.
+    """One registration of a pair of scans: the backend's pose, judged.
 
     ``fitness`` (share of source points with a target point within the radius) and
     ``inlier_rmse`` (m, NaN without inliers) come from our own evaluator, the same for every

@@ -65,7 +65,7 @@ class ChildError(RunError):
 
 
 class StoppedError(RunError):
-    """The supervisor was told to stop; its child was killed."""
+    """The supervisor has to stop; its child was killed."""
 
 
 @dataclass(eq=False)

@@ -180,7 +180,7 @@ def _run(cfg: DictConfig, hydra_cfg: Any, out: Path, asked: Asked) -> dict[str, 
 
 
 def _place(asked: Asked) -> Path | None:
-    """Where the sweep's relative paths begin, unless that is not to be found here."""
+    """Where the sweep's relative paths begin, unless this machine has no such folder."""
     return Path(asked.cwd) if Path(asked.cwd).is_dir() else None
 
 

@@ -21,7 +21,7 @@ from rbtm_bench.runs.workbench import own_workbench
 def check_data(points: Sequence[Point]) -> None:
     """Open every data set once, before the first run, and see that the parts fit it.
 
-    Raises ``DataError`` or ``ConfigError``: bad data common to all points stops here.
+    Raises ``DataError`` or ``ConfigError``: bad data common to all points stop a grid.
     """
     opened: dict[str, Any] = {}
     checked = set()
@@ -71,7 +71,7 @@ def ended_by(
     """
     sweep_folder.clear_partial(out)
     record = sweep_folder.record_of(out)
-    if record.get("status") in ("failed", "done"):  # it has said so itself
+    if record.get("status") in ("failed", "done"):  # its own ending
         return record
     ending = {
         "status": "failed",

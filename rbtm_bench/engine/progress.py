@@ -11,7 +11,7 @@ from typing import Any
 
 
 class Bar:
-    """A bar that is told how far things are; does nothing when nobody is watching."""
+    """A bar of how far things are; does nothing when nobody is watching."""
 
     def __init__(self, rich_bar: Any = None, task: Any = None) -> None:
         self._bar, self._task = rich_bar, task

@@ -127,9 +127,9 @@ class Asked:
 
     def changes(self) -> list[str]:
         """A line for every version that is not what it was."""
-        found = versions()
-        names = dict.fromkeys([*self.versions, *found])
-        old_new = [(name, self.versions.get(name), found.get(name)) for name in names]
+        now = versions()
+        names = dict.fromkeys([*self.versions, *now])
+        old_new = [(name, self.versions.get(name), now.get(name)) for name in names]
         lines = [f"{name} was {old}, is {new}" for name, old, new in old_new if old != new]
         if self.git != provenance.git_hash():
             lines.append(f"the checkout was {self.git}, is {provenance.git_hash()}")
@@ -141,9 +141,9 @@ def _key(word: str) -> str:
 
 
 def versions() -> dict[str, str | None]:
-    """What is installed here."""
-    here = {"rbtm_bench": __version__, "python": platform.python_version()}
-    return {**here, **provenance.packages()}
+    """What is installed ours."""
+    ours = {"rbtm_bench": __version__, "python": platform.python_version()}
+    return {**ours, **provenance.packages()}
 
 
 def resume_command(kind: str, folder: Path) -> str:

@@ -41,8 +41,8 @@ def summarise_steps(records: Sequence[StepRecord], peak_memory_mb: float | None 
 
 def _longest_skip(records: Sequence[StepRecord]) -> int:
     """The most scans in a row, the first scan aside, whose pose is a prediction."""
-    longest = here = 0
+    longest = current = 0
     for record in records[1:]:
-        here = 0 if record.status in ("registered", "fallback") else here + 1
-        longest = max(longest, here)
+        current = 0 if record.status in ("registered", "fallback") else current + 1
+        longest = max(longest, current)
     return longest

@@ -1,4 +1,4 @@
-"""The loop: describe, select, register, check, update, record. Nothing here knows files."""
+"""The loop: describe, select, register, check, update, record. It knows no files."""
 
 from __future__ import annotations
 

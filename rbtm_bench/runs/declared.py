@@ -24,7 +24,7 @@ class Pairs(TypedDict):
 
 
 class Shared(NamedTuple):
-    """A setting outside every group: its type (None: not checked here) and its kind."""
+    """A setting outside every group: its type (None: the plug-ins check it) and its kind."""
 
     type: Any
     kind: Kind
@@ -43,7 +43,7 @@ SHARED = {
     "registration": Shared(None, Kind.FEED),
     "descriptor": Shared(None, Kind.FEED),
 }
-"""Every setting outside the groups. What stands in a config and not here is WHAT."""
+"""Every setting outside the groups. Whatever else stands in a config is WHAT."""
 
 
 def kind_of(key: str) -> Kind:

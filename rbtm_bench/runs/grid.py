@@ -124,12 +124,12 @@ def values_beside_first(words: list[str], extra_dirs: tuple[Path, ...] = ()) -> 
             for o in overrides
         ]
     first = [values[0] for values in lists]
-    found = [compose_settings(first, extra_dirs)]
+    points = [compose_settings(first, extra_dirs)]
     for position, values in enumerate(lists):
         for value in values[1:]:
             one = [*first[:position], value, *first[position + 1 :]]
-            found.append(compose_settings(one, extra_dirs))
-    return found
+            points.append(compose_settings(one, extra_dirs))
+    return points
 
 
 def _sort_overrides(
@@ -229,11 +229,11 @@ def _label(
 
 
 def _merge(
-    found: list[tuple[Settings, list[str]]], notes: list[str]
+    points: list[tuple[Settings, list[str]]], notes: list[str]
 ) -> list[tuple[Settings, list[str]]]:
     """One of every set of points with the same settings (a seed that nothing uses included)."""
     kept: dict[str, tuple[Settings, list[str]]] = {}
-    for settings, label in found:
+    for settings, label in points:
         key = settings.identity.run
         if key in kept:
             notes.append(
@@ -245,7 +245,7 @@ def _merge(
     return list(kept.values())
 
 
-def _named(found: list[tuple[Settings, list[str]]]) -> list[Point]:
+def _named(labelled: list[tuple[Settings, list[str]]]) -> list[Point]:
     """Points with unique names; random_gap once for every rbtm point that it can follow."""
     points: dict[str, Point] = {}
 
@@ -259,7 +259,7 @@ def _named(found: list[tuple[Settings, list[str]]]) -> list[Point]:
 
     waiting = []
     sources: dict[str, list[str]] = {}
-    for settings, label in found:
+    for settings, label in labelled:
         selector = settings.config.get("selector") or {}
         if settings.choices["selector"] == "random_gap" and not (
             selector.get("gaps") or selector.get("gaps_from")

@@ -90,7 +90,7 @@ class Identity:
 
 
 def flat(config: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Settings as dotted keys with values; ``_target_`` is told by the group's choice."""
+    """Settings as dotted keys with values; ``_target_`` follows from the choice."""
     for key, value in config.items():
         if key == "_target_":
             continue

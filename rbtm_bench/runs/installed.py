@@ -34,11 +34,11 @@ def is_importable(package: str) -> bool:
 def planar_backends(first: str = "") -> tuple[str, ...]:
     """The names of every installed backend that registers pairs of planar scans, sorted; the one
     named ``first``, if it is there, before all others. Systems and "none" are not among them."""
-    found = []
+    names = []
     for name, node in member_nodes("backend").items():
         if name == "none" or missing_library("backend", name, node) or not isinstance(node, dict):
             continue
         made = locate(f"backend={name}", str(node["_target_"]))
         if "2d" in getattr(made, "dimensions", ()) and not is_system({"backend": node}):
-            found.append(name)
-    return tuple(sorted(found, key=lambda name: (name != first, name)))
+            names.append(name)
+    return tuple(sorted(names, key=lambda name: (name != first, name)))

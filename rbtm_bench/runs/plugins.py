@@ -24,16 +24,16 @@ def locate(name: str, target: str) -> Any:
     """
     *modules, attribute = target.split(".")
     try:
-        found, rest = _import(modules)
+        thing, rest = _import(modules)
         for part in (*rest, attribute):
-            found = getattr(found, part)
+            thing = getattr(thing, part)
     except Exception as error:
         known = isinstance(error, ImportError | AttributeError)
         text = " ".join([*([] if known else [f"{type(error).__name__}:"]), *str(error).split()])
         raise ConfigError(f"{name}: cannot load {target}: {text}") from error
-    if not callable(found):
+    if not callable(thing):
         raise ConfigError(f"{name}: cannot load {target}: not a class")
-    return found
+    return thing
 
 
 def _import(parts: list[str]) -> tuple[Any, list[str]]:

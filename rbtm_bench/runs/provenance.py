@@ -46,25 +46,25 @@ def of_run(settings: Settings, dataset: Dataset | None, core: int | None) -> dic
 
 def packages() -> dict[str, str | None]:
     """Installed versions of the libraries that make the numbers."""
-    found: dict[str, str | None] = {}
+    versions: dict[str, str | None] = {}
     for name in PACKAGES:
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
-            found[name] = None
-    return found
+            versions[name] = None
+    return versions
 
 
 def versions_of(requires: tuple[str, ...]) -> dict[str, str | None]:
     """What a registration's last bits depend on: the backend's packages, what we evaluate with,
     and the processor, whose instructions the libraries choose by."""
-    found: dict[str, str | None] = {"rbtm_bench": __version__, "cpu": processor()}
+    versions: dict[str, str | None] = {"rbtm_bench": __version__, "cpu": processor()}
     for module in ("numpy", "scipy", *requires):
         try:
-            found[module] = version(module.replace("_", "-"))
+            versions[module] = version(module.replace("_", "-"))
         except PackageNotFoundError:
-            found[module] = None
-    return found
+            versions[module] = None
+    return versions
 
 
 def processor() -> str:

@@ -86,10 +86,10 @@ def parsed(words: list[str]) -> list[Override]:
 
 def _unknown_key(error: Exception, overrides: list[str]) -> str | None:
     """A sentence about the key that Hydra could not override, with the keys that there are."""
-    found = re.search(r"Could not override '([^']+)'", str(error))
-    if not found:
+    unknown = re.search(r"Could not override '([^']+)'", str(error))
+    if not unknown:
         return None
-    key = found.group(1)
+    key = unknown.group(1)
     others = [word for word in overrides if word.split("=")[0].strip() != key]
     try:
         node: Any = compose("config", overrides=others)

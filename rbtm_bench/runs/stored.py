@@ -119,8 +119,8 @@ def _loader() -> Any:
     plain_exponent = re.compile(r"[-+]?[0-9]+\.?[eE][-+]?[0-9]+$")
     loader.add_implicit_resolver("tag:yaml.org,2002:float", plain_exponent, list("-+0123456789"))
     loader.yaml_implicit_resolvers = {
-        first: [(tag, pattern) for tag, pattern in found if not tag.endswith(":timestamp")]
-        for first, found in loader.yaml_implicit_resolvers.items()
+        first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(":timestamp")]
+        for first, resolvers in loader.yaml_implicit_resolvers.items()
     }
     return loader
 
@@ -130,7 +130,7 @@ def find_runs(paths: Iterable[Path]) -> list[Run]:
 
     Raises ``DataError`` for a path without any.
     """
-    found: dict[Path, Run] = {}
+    runs: dict[Path, Run] = {}
     for path in paths:
         if not path.exists():
             raise DataError(f"{path}: no such file or folder: expected a run or a folder of runs")
@@ -138,8 +138,8 @@ def find_runs(paths: Iterable[Path]) -> list[Run]:
         if not files:
             raise DataError(f"{path}: holds no run (no run.json in or below it)")
         for file in files:
-            found.setdefault(file.parent.resolve(), read_run(file.parent))
-    return list(found.values())
+            runs.setdefault(file.parent.resolve(), read_run(file.parent))
+    return list(runs.values())
 
 
 def _json(path: Path) -> dict[str, Any]:
