@@ -1,4 +1,4 @@
-"""What a backend must not do: guess silently, leave the plane, modify, or change its mind."""
+"""What a backend must not do: guess silently, modify its scans, or change its mind."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.contract.scene import World, rotation
 from rbtm_bench.core.errors import BackendError
-from rbtm_bench.core.geometry import inverse, is_rigid, se2, se3, transform, translation_norm
+from rbtm_bench.core.geometry import inverse, se2, se3, translation_norm
 from rbtm_bench.core.types import Array, RegistrationResult, Scan
 from rbtm_bench.odometry import judge
 
@@ -43,69 +43,6 @@ def bits(results: list[RegistrationResult]) -> list[tuple[bytes, float, float, i
         (r.T_target_source.tobytes(), r.fitness, np.nan_to_num(r.inlier_rmse), r.inliers)
         for r in results
     ]
-
-
-def test_a_result_is_well_formed(backend: Backend, scans: list[Scan], guess: Array) -> None:
-    given = guess.copy()
-    source, target = backend.prepare(scans[1]), backend.prepare(scans[0])
-    result = judge.register(backend, source, target, given)
-    T = result.T_target_source
-    assert given.tobytes() == guess.tobytes(), "register() modified the initial guess"
-    assert not np.shares_memory(T, given), "T_target_source is the guess's own array: copy it"
-    assert T.dtype == np.float64, f"T_target_source is {T.dtype}: expected float64"
-    assert is_rigid(T), f"T_target_source is no rigid motion:\n{T}"
-    assert result.converged is None or isinstance(result.converged, bool), (
-        f"converged is {result.converged!r}: expected Python's True, False or None"
-    )
-    assert result.iterations is None or result.iterations >= 0, "iterations is negative"
-    assert result.seconds >= 0, "seconds is negative: wall time in s is expected"
-    if result.information is not None:
-        assert np.shape(result.information) == (6, 6), "information: expected (6, 6) or None"
-
-
-def test_planar_results_stay_in_the_plane_exactly(
-    backend: Backend, world: World, scans: list[Scan], guess: Array
-) -> None:
-    if world.name != "2d":
-        pytest.skip("for planar scans")
-    target = backend.prepare(scans[0])
-    assert target.planar, "prepare() lost that the scan is planar"
-    assert not target.points[:, 2].any(), "prepare() moved planar points out of z = 0"
-    for scan in scans[1:]:
-        T = judge.register(backend, backend.prepare(scan), target, guess).T_target_source
-        in_plane = T[2].tolist() == AXIS and T[:, 2].tolist() == AXIS
-        assert in_plane, f"a planar registration left the plane (row and column z of\n{T})"
-
-
-def test_fitness_and_rmse_are_the_common_evaluator_s(
-    backend: Backend, scans: list[Scan], guess: Array
-) -> None:
-    source, target = backend.prepare(scans[3]), backend.prepare(scans[0])
-    result = judge.register(backend, source, target, guess)
-    fitness, rmse, inliers = brute_force(
-        source, target, result.T_target_source, backend.max_correspondence_distance
-    )
-    assert result.inliers == inliers, f"inliers {result.inliers}: brute force finds {inliers}"
-    assert result.fitness == pytest.approx(fitness, abs=1e-12), (
-        "fitness must be the share of source points with a target point within "
-        "max_correspondence_distance: keep a library's own value in library_fitness"
-    )
-    assert result.inlier_rmse == pytest.approx(rmse, rel=1e-9), (
-        "inlier_rmse must be the RMS distance (m) of those points to their nearest target points: "
-        "keep a library's own value in library_rmse"
-    )
-
-
-def brute_force(
-    source: Prepared, target: Prepared, T: Array, radius: float
-) -> tuple[float, float, int]:
-    """Fitness, RMSE and inliers by comparing every point with every point."""
-    nearest = [
-        np.sqrt(((target.points - point) ** 2).sum(axis=1).min())
-        for point in transform(T, source.points)
-    ]
-    inlier = np.array([d for d in nearest if d < radius])
-    return len(inlier) / len(nearest), float(np.sqrt(np.mean(inlier**2))), len(inlier)
 
 
 def test_scans_and_prepared_scans_are_not_modified(
@@ -150,66 +87,42 @@ def test_the_order_of_registrations_does_not_matter(
     )
 
 
-def not_rigid() -> dict[str, Array]:
-    """Matrices that are no rigid motion."""
-    unknown = np.eye(4)
-    unknown[0, 3] = np.nan
-    return {
-        "scaled": np.diag([1.1, 1.1, 1.1, 1.0]),
-        "mirrored": np.diag([1.0, -1.0, 1.0, 1.0]),
-        "nan": unknown,
-        "3x3": np.eye(3),
-        "projective": np.eye(4) + 0.1 * np.eye(4)[[1, 2, 3, 0]],
-    }
-
-
-@pytest.mark.parametrize("kind", list(not_rigid()))
-def test_a_guess_that_is_no_rigid_motion_is_an_error(
-    backend: Backend, scans: list[Scan], kind: str
+def test_what_the_base_class_guarantees_is_not_replaced(
+    backend: Backend, scans: list[Scan]
 ) -> None:
-    source, target = backend.prepare(scans[1]), backend.prepare(scans[0])
-    try:
-        result = judge.register(backend, source, target, not_rigid()[kind])
-    except ValueError:
-        return
-    pytest.fail(f"no ValueError for a guess that is {kind}; the result was\n{result}")
+    """Checked input, the plane, no silent guess, symmetric information: tests/backends/test_base.py
+    holds the base class to them, and so every plug-in that leaves ``register`` alone."""
+    name = type(backend).__name__
+    assert type(backend).register is Backend.register, (
+        f"{name} replaces register(), and with it what every backend guarantees: write align()"
+    )
+    prepared = backend.prepare(scans[0])
+    assert isinstance(prepared, Prepared), f"{name}.prepare() returns {type(prepared).__name__}"
+    assert prepared.points.dtype == np.float64 and np.isfinite(prepared.points).all()
+    assert prepared.planar is scans[0].planar, "prepare() lost whether the scan is planar"
+    if scans[0].planar:
+        assert not prepared.points[:, 2].any(), "prepare() moved planar points out of z = 0"
 
 
-def bad_clouds(good: Array) -> dict[str, Array]:
-    """Points that nothing can be registered with."""
-    unknown, infinite = good.copy(), good.copy()
-    unknown[7, 1], infinite[3, 0] = np.nan, np.inf
-    return {
-        "empty": np.zeros((0, 3)),
-        "one_point": good[:1],
-        "nan": unknown,
-        "infinite": infinite,
-        "far_apart": good + np.array([1000.0, -500.0, 0.0]),
-    }
-
-
-@pytest.mark.parametrize("kind", ["empty", "one_point", "nan", "infinite", "far_apart"])
 @pytest.mark.parametrize("side", ["source", "target"])
-def test_never_a_silent_guess(
-    backend: Backend, scans: list[Scan], guess: Array, side: str, kind: str
-) -> None:
-    """Bad input raises BackendError or gives converged = False; the guess is no answer."""
+def test_never_a_silent_guess(backend: Backend, scans: list[Scan], guess: Array, side: str) -> None:
+    """Scans of two places raise BackendError or give converged = False; the guess is no answer."""
     good = scans[0]
-    bad = replace(good, points=bad_clouds(good.points)[kind], ranges=None, angles=None)
-    source, target = (bad, good) if side == "source" else (good, bad)
+    off = np.array([1000.0, -500.0, 0.0])
+    far = replace(good, points=good.points + off, ranges=None, angles=None)
+    source, target = (far, good) if side == "source" else (good, far)
     try:
         result = judge.register(backend, backend.prepare(source), backend.prepare(target), guess)
     except BackendError:
         return
     except Exception as error:
-        pytest.fail(f"{kind} {side}: {type(error).__name__} ({error}): raise BackendError instead")
+        pytest.fail(f"{side}: {type(error).__name__} ({error}): raise BackendError instead")
+    truth = se3(-off if side == "source" else off, np.eye(3))
+    error_m = float(translation_norm(inverse(truth) @ result.T_target_source))
+    if not backend.uses_guess and error_m < 0.05:
+        return  # a global method may well bring together scans that lie far apart
     moved = float(translation_norm(inverse(guess) @ result.T_target_source))
-    if kind == "far_apart" and not backend.uses_guess:
-        off = 1000.0 if side == "source" else -1000.0
-        truth = se3([-off, 0.5 * off, 0.0], np.eye(3))
-        if float(translation_norm(inverse(truth) @ result.T_target_source)) < 0.05:
-            return  # a global method may well find scans that lie far apart
     assert result.converged is False, (
-        f"{kind} {side}: converged is {result.converged} and the result is {moved:.3f} m from the "
-        "guess: expected BackendError or converged = False"
+        f"{side} 1 km away: converged is {result.converged} and the result is {moved:.3f} m from "
+        "the guess: expected BackendError or converged = False"
     )
