@@ -32,6 +32,7 @@ from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.kitti import Kitti
 from rbtm_bench.engine import drive, sweep_folder
+from rbtm_bench.report.frame import source_words
 from rbtm_bench.runs import provenance
 from rbtm_bench.runs.grid import Point, make_points
 from rbtm_bench.runs.stored import Run, find_runs
@@ -225,8 +226,12 @@ def _method(run: Run) -> dict[str, Any]:
     return {
         "backend": run.record["choices"]["backend"],
         "selector": run.record["choices"]["selector"],
-        "settings": " ".join(_settings(run.config["selector"])) or NO_SETTINGS,
+        "settings": " ".join([*_settings(run.config["selector"]), *_source(run)]) or NO_SETTINGS,
     }
+
+
+def _source(run: Run) -> list[str]:
+    return [f"gaps of {source_words(run)}"] if run.config["selector"].get("gaps_from") else []
 
 
 def _settings(selector: dict[str, Any]) -> list[str]:

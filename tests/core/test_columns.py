@@ -68,7 +68,8 @@ def test_the_page_is_made_of_the_declared_numbers(capsys: pytest.CaptureFixture[
     for column in COLUMNS:
         (row,) = page_rows([column])
         assert text.count(f"\n{row}\n") == 1, column.name
-    assert metrics_page.page(text.replace("| count |", "| pieces |")) == text
+    stale = text.replace("| `skipped` | count |", "| `skipped` | pieces |")
+    assert stale != text and metrics_page.page(stale) == text
 
 
 def test_names_are_unique_and_derived_numbers_come_behind_their_family() -> None:

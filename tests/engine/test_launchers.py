@@ -165,7 +165,7 @@ def test_a_missing_launcher_names_its_extra(
 ) -> None:
     monkeypatch.setattr(hydra_sweep.importlib.util, "find_spec", lambda module: None)
     with pytest.raises(ConfigError) as error:
-        hydra_sweep.Plan.of([f"hydra/launcher={name}"], ())
+        hydra_sweep.SweepPlan.of([f"hydra/launcher={name}"], ())
     assert error.value.exit_code == 2
     assert str(error.value) == (
         f"hydra/launcher={name}: not installed: pip install 'rbtm-bench[{extra}]'"

@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rbtm_bench.backends.base import Prepared
+from rbtm_bench.core.columns import DEGENERATE
 from rbtm_bench.core.geometry import inverse, is_rigid, se2, se3
 from rbtm_bench.core.types import Array, Localizability, RegistrationResult
-from rbtm_bench.odometry.degeneracy import DEGENERATE, remap, unseen
+from rbtm_bench.odometry.degeneracy import remap, unseen
 from rbtm_bench.odometry.judge import evaluate
 from rbtm_bench.runs.settings import compose_settings
 
