@@ -31,6 +31,7 @@ class Chain(Guess):
         self._last: tuple[int, Prepared] | None = None
         self._motion = IDENTITY
         self._newest = -1
+        self._odometry: Array | None = None
 
     def observe(self, scan: Scan, prepared: Prepared | None, register: Register) -> float:
         """Extend the chain by a scan; returns the seconds that it took (when it was new)."""
@@ -38,7 +39,7 @@ class Chain(Guess):
             return self._seconds[scan.index]
         seconds = 0.0
         before = self._poses.get(self._newest)
-        pose = IDENTITY if before is None else before @ self._motion
+        pose = IDENTITY if before is None else before @ self._step(scan)
         if prepared is not None and self._last is not None:
             model, target = self._last
             guess = inverse(self._poses[model]) @ pose
@@ -51,10 +52,14 @@ class Chain(Guess):
         if before is not None:
             self._motion = inverse(before) @ pose
         self._poses[scan.index], self._seconds[scan.index] = pose, seconds
-        self._newest = scan.index
+        self._newest, self._odometry = scan.index, scan.odometry
         if prepared is not None:
             self._last = (scan.index, prepared)
         return seconds
+
+    def _step(self, scan: Scan) -> Array:
+        """Where the scan's registration begins: T_before_scan (4, 4)."""
+        return self._motion
 
     def predict(self, model: Node, scan: Scan, recent: Sequence[Node]) -> Array:
         return inverse(self._poses[model.scan]) @ self._poses[scan.index]

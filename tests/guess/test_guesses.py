@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.errors import BackendError, ConfigError
 from rbtm_bench.core.geometry import inverse, se2
-from rbtm_bench.core.types import Array, Node, Scan
+from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.guess.base import Guess
 from rbtm_bench.guess.constant_velocity import ConstantVelocity
 from rbtm_bench.guess.identity import Identity
 from rbtm_bench.guess.odometry import Odometry, OdometryChained
+from rbtm_bench.guess.odometry_chain import OdometryChain
 
 QUARTER = np.pi / 2
 
@@ -88,6 +89,26 @@ def test_pure_guesses_are_those_of_the_pair_alone() -> None:
     guesses: list[Guess] = [Identity(), Odometry(), ConstantVelocity(), OdometryChained()]
     assert [guess.pure for guess in guesses] == [True, True, False, False]
     assert [guess.needs_odometry for guess in guesses] == [False, True, False, True]
+
+
+def test_odometry_chain_by_hand() -> None:
+    """Every registration begins from the wheels and ends half as far; one that fails keeps them.
+    C is 0, 0.5, 1.0 and, unregistered, 2.0 m: from scan 1 to 3 it is 1.5 m."""
+    starts: list[float] = []
+
+    def register(source: int, target: int, T: Array) -> RegistrationResult:
+        starts.append(T[0, 3])
+        if source == 3:
+            raise BackendError("too few points")
+        return RegistrationResult(se2(0.5 * T[0, 3], 0, 0), True, 1.0, 0.0, 9, seconds=0.25)
+
+    guess = OdometryChain()
+    seconds = [guess.observe(scan(i, se2(i, 0, 0)), i, register) for i in range(4)]
+    assert starts == [1.0, 1.0, 1.0] and seconds == [0.0, 0.25, 0.25, 0.0]
+    T = guess.predict(node(1, se2(9, 9, 9)), scan(3), [])
+    np.testing.assert_allclose(T, se2(1.5, 0, 0), atol=1e-12)
+    assert guess.observe(scan(2, se2(2, 0, 0)), 2, register) == 0.25 and len(starts) == 3
+    assert guess.pure and guess.needs_odometry and guess.needs_backend
 
 
 class EmptyDrive(Dataset):
