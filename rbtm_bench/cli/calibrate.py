@@ -51,7 +51,7 @@ def calibrate(words: list[str]) -> int:
     options, overrides = _parse(words)
     from rbtm_bench.calibration import running
     from rbtm_bench.engine import drive
-    from rbtm_bench.runs.experiment import refuse_existing
+    from rbtm_bench.runs.claim import refuse_existing
     from rbtm_bench.runs.grid import make_points
 
     plan = plan_of(options)

@@ -124,10 +124,10 @@ def _run_supervised(settings: Settings, out: Path, progress: Any) -> None:
     """A run that a time limit may end. Raises ``RunError`` if it fails."""
     from rbtm_bench.engine import one_run
     from rbtm_bench.engine.crew import Supervisor
-    from rbtm_bench.runs import experiment
+    from rbtm_bench.runs.claim import refuse_existing
     from rbtm_bench.runs.grid import Point
 
-    experiment.refuse_existing(out, bool(settings.config["overwrite"]))
+    refuse_existing(out, bool(settings.config["overwrite"]))
     with Supervisor() as supervisor:
         supervisor.call(one_run.check_data, [Point("run", settings)], pin=settings.config["pin"])
         limit = settings.config["time_limit"]
@@ -175,7 +175,7 @@ def _compare(asked: Asked, resumed: Path | None, jobs: int) -> int:
     with drive.make_crew(jobs, asked.command) as crew:
         if rest:
             crew[0].call(one_run.check_data, rest, pin=config["pin"])
-        with session.claimed(asked, out):
+        with session.claimed(asked, out, not resumed, config["overwrite"]):
             sweep_folder.clear(out / point.name for point in rest)
             failed: list[str] = []
             with run_bar(len(points), len(points) - len(rest)) as progress:
@@ -208,7 +208,7 @@ def _is_finished(point: Any, out: Path) -> bool:
 
 def refuse_to_overwrite(out: Path, config: dict[str, Any]) -> None:
     """Raise ``ConfigError`` if the folder holds anything and may not be overwritten."""
-    from rbtm_bench.runs.experiment import refuse_existing
+    from rbtm_bench.runs.claim import refuse_existing
 
     refuse_existing(out, bool(config["overwrite"]))
 
@@ -249,7 +249,7 @@ def _sweep(asked: Asked, out: Path | None, resumed: bool) -> int:
     )
     if plan.jobs is None or len(whole) < len(plan.jobs):
         plan.check_data(asked)
-    with session.claimed(asked, out):
+    with session.claimed(asked, out, not resumed, config["overwrite"]):
         sweep_folder.clear(p for p in sweep_folder.run_folders(out) if p not in whole)
         reused = {folder.name for folder in whole}
         total = len(plan.jobs) if plan.jobs is not None else None
@@ -335,10 +335,8 @@ def sweep_job(cfg: Any) -> None:
 
 def default_folder(kind: str, choices: dict[str, str] | None = None) -> str:
     """results/<kind>/<time>[-<data set>-<backend>-<selector>], a new one every time."""
+    from rbtm_bench.runs.claim import new_folder
+
     stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     names = [choices[group] for group in ("dataset", "backend", "selector")] if choices else []
-    stem = "-".join([f"results/{kind}/{stamp}", *names])
-    folder, count = stem, 2
-    while Path(folder).exists():
-        folder, count = f"{stem}-{count}", count + 1
-    return folder
+    return str(new_folder("-".join([f"results/{kind}/{stamp}", *names])))

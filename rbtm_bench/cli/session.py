@@ -14,6 +14,7 @@ from rbtm_bench.core.files import make_folder
 from rbtm_bench.engine import sweep_folder
 from rbtm_bench.engine.sweep_folder import Asked, Kind
 from rbtm_bench.report import screen
+from rbtm_bench.runs.claim import refuse_existing
 from rbtm_bench.runs.settings import Settings
 
 
@@ -44,11 +45,13 @@ def asked(
 
 
 @contextlib.contextmanager
-def claimed(asked: Asked, out: Path) -> Iterator[None]:
+def claimed(asked: Asked, out: Path, begin: bool, overwrite: bool) -> Iterator[None]:
     """The folder for this process alone, with what was asked for written into it. Ctrl-C says
-    how to go on."""
+    how to go on. With ``begin`` it must hold nothing yet: whoever was faster may have begun."""
     make_folder(out)
     with sweep_folder.at_work(out):
+        if begin:
+            refuse_existing(out, overwrite)
         asked.write(out)
         (out / sweep_folder.STOP).unlink(missing_ok=True)
         try:

@@ -12,6 +12,7 @@ from rbtm_bench.core.errors import RbtmBenchError
 from rbtm_bench.core.files import write_json
 from rbtm_bench.engine import sweep_folder
 from rbtm_bench.runs import experiment, provenance
+from rbtm_bench.runs.claim import refuse_existing
 from rbtm_bench.runs.grid import Point
 from rbtm_bench.runs.identity import node_key
 from rbtm_bench.runs.settings import Settings
@@ -43,7 +44,7 @@ def run_one(
 ) -> tuple[str, dict[str, Any]]:
     """One run that never raises: whatever goes wrong becomes its status and reason."""
     try:
-        experiment.refuse_existing(out, bool(settings.config["overwrite"]))
+        refuse_existing(out, bool(settings.config["overwrite"]))
         experiment.clear(out)  # an earlier run's files must not stand for a run that never starts
     except (OSError, RbtmBenchError) as error:
         return name, {"status": "failed", "reason": experiment.reason(error)}

@@ -26,6 +26,7 @@ from rbtm_bench import __version__
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.files import make_folder, write_json
 from rbtm_bench.runs import experiment, provenance, stored
+from rbtm_bench.runs.claim import lock
 from rbtm_bench.runs.settings import Settings
 
 Kind = Literal["sweep", "compare"]
@@ -163,11 +164,11 @@ def at_work(folder: Path, alone: bool = True) -> Iterator[None]:
             fd = os.open(folder, os.O_RDONLY)
             stack.callback(os.close, fd)
             patience = time.monotonic() + LOCK_S
-            while alone and not _lock(fd, fcntl.LOCK_EX):
+            while alone and not lock(fd, fcntl.LOCK_EX):
                 if time.monotonic() > patience:
                     raise ConfigError(f"{folder}: another process is still at work there")
                 time.sleep(0.1)
-            _lock(fd, fcntl.LOCK_SH)
+            lock(fd, fcntl.LOCK_SH)
         yield
 
 
@@ -183,33 +184,29 @@ def check_ctrl_c() -> None:
 
 @contextlib.contextmanager
 def minding_ctrl_c() -> Iterator[None]:
-    """Make Ctrl-C be noted as well as raised, for ``check_ctrl_c``, and end by it in any case."""
+    """Make Ctrl-C be noted as well as raised, for ``check_ctrl_c``, and end by it in any case. A
+    SIGTERM, as a cluster sends it before it kills, counts as one."""
 
     def note(number: int, frame: Any) -> None:
         _ctrl_c.set()
         raise KeyboardInterrupt
 
     _ctrl_c.clear()
-    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    usual = before[signal.SIGINT] is signal.default_int_handler
     if not usual or threading.current_thread() is not threading.main_thread():
         yield
         return
-    signal.signal(signal.SIGINT, note)
+    for number in before:
+        signal.signal(number, note)
     try:
         yield
     except Exception:
         check_ctrl_c()
         raise
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-def _lock(fd: int, how: int) -> bool:
-    try:
-        fcntl.flock(fd, how | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    return True
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def record_of(folder: Path) -> dict[str, Any]:

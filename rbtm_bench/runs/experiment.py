@@ -33,6 +33,7 @@ from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.odometry.system import system_odometry
 from rbtm_bench.runs import provenance
+from rbtm_bench.runs.claim import claimed, refuse_existing
 from rbtm_bench.runs.declared import PLUGIN_GROUPS
 from rbtm_bench.runs.pinning import pin_to_free_core
 from rbtm_bench.runs.plugins import is_system, locate
@@ -73,14 +74,22 @@ def run(
     are at fault. Once started, any failure is written to ``run.json`` with its reason and then
     raised.
     """
-    refuse_existing(out, bool(settings.config["overwrite"]))
+    overwrite = bool(settings.config["overwrite"])
+    refuse_existing(out, overwrite)
     core = pin_to_free_core() if settings.config["pin"] else None
     parts = bench.parts(settings) if bench else instantiate(settings)
     record = provenance.of_run(settings, parts.dataset, core)
-    make_folder(out)
-    clear(out)
-    write_config(out, settings)
-    write_json(out / "run.json", record)
+    with claimed(out, overwrite):
+        clear(out)
+        write_config(out, settings)
+        write_json(out / "run.json", record)
+        return _recorded(parts, settings, out, record, progress)
+
+
+def _recorded(
+    parts: Parts, settings: Settings, out: Path, record: dict[str, Any], progress: Progress | None
+) -> dict[str, Any]:
+    """The run, and how it ended in its ``run.json``."""
     try:
         record["seconds"] = _execute(parts, settings, out, progress)
         record["status"] = "done"
@@ -102,14 +111,6 @@ def fail(settings: Settings, out: Path, error: BaseException) -> None:
     record = provenance.of_run(settings, None, None)
     record.update(status="failed", reason=reason(error), finished=provenance.now())
     write_json(out / "run.json", record)
-
-
-def refuse_existing(out: Path, overwrite: bool) -> None:
-    """Raise ``ConfigError`` if ``out`` holds anything already, unless it may be overwritten."""
-    if out.is_dir() and any(out.iterdir()) and not overwrite:
-        raise ConfigError(f"out={out}: already holds files; choose another, or overwrite=true")
-    if out.exists() and not out.is_dir():
-        raise ConfigError(f"out={out}: a file, expected a folder")
 
 
 def instantiate(settings: Settings) -> Parts:

@@ -128,9 +128,11 @@ def _loader() -> Any:
 def find_runs(paths: Iterable[Path]) -> list[Run]:
     """The runs in or below the paths, in the order of their names.
 
-    Raises ``DataError`` for a path without any.
+    One that cannot be read has the status "unreadable" and says why. Raises ``DataError`` for a
+    path without any run, or of which none can be read.
     """
     runs: dict[Path, Run] = {}
+    damage: list[DataError] = []
     for path in paths:
         if not path.exists():
             raise DataError(f"{path}: no such file or folder: expected a run or a folder of runs")
@@ -138,7 +140,17 @@ def find_runs(paths: Iterable[Path]) -> list[Run]:
         if not files:
             raise DataError(f"{path}: holds no run (no run.json in or below it)")
         for file in files:
-            runs.setdefault(file.parent.resolve(), read_run(file.parent))
+            place = file.parent.resolve()
+            if place in runs:
+                continue
+            try:
+                runs[place] = read_run(file.parent)
+            except DataError as error:
+                damage.append(error)
+                record = {"status": "unreadable", "reason": str(error), "choices": {}}
+                runs[place] = Run(file.parent, record, {}, {})
+    if damage and len(damage) == len(runs):
+        raise damage[0]
     return list(runs.values())
 
 

@@ -5,8 +5,9 @@
     python scripts/benchmarks/witnesses.py compare /tmp/before /tmp/after
 
 Poses, decisions and metrics have to be the same bits, scores to agree within 1e-6 and information
-matrices within 1e-12; times and what depends on the machine's mood are left out. Every planar backend, eight in space, every
-selector, similarity, guess, check and target, and a sweep; real data from RBTM_BENCH_DATA.
+matrices within 1e-12; times and what depends on the machine's mood are left out. Every planar
+backend, eight in space, every selector, similarity, guess, check and target, and a sweep; real data
+from RBTM_BENCH_DATA.
 """
 
 from __future__ import annotations

@@ -28,20 +28,23 @@ def wait_for(out: Path, count: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("words", "group"),
+    ("words", "group", "number"),
     [
-        (("sweep",), True),
-        (("sweep", "hydra/launcher=joblib"), True),  # as a terminal does it
-        (("sweep", "hydra/launcher=joblib"), False),
-        (("compare", "--jobs", "2"), True),
+        (("sweep",), True, signal.SIGINT),
+        (("sweep", "hydra/launcher=joblib"), True, signal.SIGINT),  # as a terminal does it
+        (("sweep", "hydra/launcher=joblib"), False, signal.SIGINT),
+        (("compare", "--jobs", "2"), True, signal.SIGINT),
+        (("compare", "--jobs", "2"), False, signal.SIGTERM),  # as a cluster does it
     ],
 )
-def test_ctrl_c(tmp_path: Path, words: tuple[str, ...], group: bool) -> None:
+def test_ctrl_c(
+    tmp_path: Path, words: tuple[str, ...], group: bool, number: signal.Signals
+) -> None:
     out = tmp_path / "out"
     grid = ("backend=moody", "backend.how=slow", "dataset.scans=30,31,32,33,34,35")
     process = begin(*words, *grid, "selector=previous", *MOODY, f"out={out}")
     wait_for(out, 2)
-    (os.killpg if group else os.kill)(process.pid, signal.SIGINT)
+    (os.killpg if group else os.kill)(process.pid, number)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     assert f"rbtm-bench {words[0]} --resume {out}" in err

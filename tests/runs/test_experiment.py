@@ -25,6 +25,7 @@ from rbtm_bench.metrics.relations import RelationError
 from rbtm_bench.metrics.rpe import Rpe
 from rbtm_bench.metrics.summary import COLUMNS
 from rbtm_bench.runs import experiment
+from rbtm_bench.runs.claim import refuse_existing
 from rbtm_bench.runs.settings import Settings, compose_settings
 from rbtm_bench.similarity.curvature_circular import CurvatureCircular
 
@@ -358,7 +359,7 @@ def test_reasons_are_one_line() -> None:
     assert experiment.reason(RunError("a\n b")) == "a b"
     assert experiment.reason(ValueError("a\n b")) == "ValueError: a b"
     with pytest.raises(ConfigError, match="already holds files"):
-        experiment.refuse_existing(Path(__file__).parent, overwrite=False)
+        refuse_existing(Path(__file__).parent, overwrite=False)
 
 
 # --- the same bits
