@@ -8,6 +8,7 @@ import numpy as np
 from rbtm_bench.backends.open3d_icp import Positive, _registration
 from rbtm_bench.backends.open3d_p2plane import Open3DPointToPlane
 from rbtm_bench.backends.planar import covariances_of_discs
+from rbtm_bench.core.open3d_library import open3d
 from rbtm_bench.core.types import Array
 
 
@@ -25,7 +26,7 @@ class Open3DGeneralizedICP(Open3DPointToPlane):
     epsilon: Positive = 1e-3
 
     def build(self, points: Array, planar: bool) -> Any:
-        import open3d as o3d
+        o3d = open3d()
 
         pcd = super().build(points, planar)
         covariances = covariances_of_discs(np.asarray(pcd.normals), self.epsilon)

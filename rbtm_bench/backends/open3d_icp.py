@@ -13,6 +13,7 @@ from annotated_types import Ge, Gt
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.geometry import information_in_source_frame
+from rbtm_bench.core.open3d_library import open3d
 from rbtm_bench.core.types import Array
 
 Kernel = Literal["none", "huber", "cauchy", "geman_mcclure", "tukey"]
@@ -108,12 +109,12 @@ def point_information(points: Array) -> Array:
 
 def cloud(points: Array) -> Any:
     """An Open3D point cloud of points (N, 3)."""
-    import open3d as o3d
+    o3d = open3d()
 
     return o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
 
 
 def _registration() -> Any:
-    import open3d as o3d
+    o3d = open3d()
 
     return o3d.pipelines.registration

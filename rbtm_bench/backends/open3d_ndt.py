@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Lt
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.backends.open3d_icp import cloud
+from rbtm_bench.core.open3d_library import open3d
 from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
@@ -61,7 +62,7 @@ class Open3DNDT(Backend):
         relative_objective: Positive = 1e-6,
     ) -> None:
         super().__init__(max_correspondence_distance, voxel_size)
-        import open3d as o3d
+        o3d = open3d()
 
         self._option = o3d.pipelines.registration.NormalDistributionsTransformOption(
             voxel_size=cell_size,
@@ -78,7 +79,7 @@ class Open3DNDT(Backend):
         return cloud(points)
 
     def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
-        import open3d as o3d
+        o3d = open3d()
 
         # what it would print, scan by scan, is in `converged`
         with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from rbtm_bench.backends.open3d_icp import Open3DICP, _registration, cloud
+from rbtm_bench.core.open3d_library import open3d
 from rbtm_bench.core.types import Array
 
 
@@ -20,7 +21,7 @@ class Open3DPointToPoint(Open3DICP):
     """
 
     def build(self, points: Array, planar: bool) -> Any:
-        import open3d as o3d
+        o3d = open3d()
 
         pcd = cloud(points)
         if self.kernel != "none":

@@ -8,6 +8,7 @@ from annotated_types import Ge
 
 from rbtm_bench.backends.open3d_icp import Open3DICP, Positive, _registration, cloud
 from rbtm_bench.backends.planar import normals_2d
+from rbtm_bench.core.open3d_library import open3d
 from rbtm_bench.core.types import Array
 
 
@@ -27,7 +28,7 @@ class Open3DPointToPlane(Open3DICP):
         normals_2d(np.eye(3), 1.0, self.normal_neighbours)  # compiles its kernels
 
     def build(self, points: Array, planar: bool) -> Any:
-        import open3d as o3d
+        o3d = open3d()
 
         pcd = cloud(points)
         radius = self.normal_radius or self.max_correspondence_distance

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.open3d_library import open3d
 from rbtm_bench.core.types import Array
 
 SUFFIXES = (".ply", ".pcd", ".bin", ".npy")
@@ -196,7 +197,7 @@ def _open3d_points(path: Path, header: Header) -> Array:
     size = os.path.getsize(path)
     if size < needed:
         raise DataError(f"{path}: truncated, {size} bytes of {needed}")
-    import open3d as o3d
+    o3d = open3d()
 
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         cloud = o3d.io.read_point_cloud(path)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rbtm_bench.core.open3d_library import open3d
 from rbtm_bench.core.types import Array
 
 WALL_BOTTOM = -1.0
@@ -80,7 +81,7 @@ def merge(meshes: Iterable[Mesh]) -> Mesh:
 
 def make_scene(mesh: Mesh) -> Any:
     """An Open3D ``RaycastingScene`` of the mesh."""
-    import open3d as o3d
+    o3d = open3d()
 
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
@@ -95,7 +96,7 @@ def cast(scene: Any, origins: ArrayLike, directions: ArrayLike, max_range: float
 
     ``origins`` and ``directions`` broadcast to (..., 3); directions need not be of unit length.
     """
-    import open3d as o3d
+    o3d = open3d()
 
     directions = np.asarray(directions, dtype=float)
     directions = directions / np.linalg.norm(directions, axis=-1, keepdims=True)

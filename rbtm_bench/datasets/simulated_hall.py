@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.open3d_library import open3d
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.environments import arc
 from rbtm_bench.datasets.raycast import Mesh, box_mesh, make_scene, merge, pillar_mesh, scan_cloud
@@ -86,7 +87,7 @@ def write_cloud(path: Path, points: Array) -> None:
         rows[:, :3] = points
         rows.tofile(path)
     else:
-        import open3d as o3d
+        o3d = open3d()
 
         cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
         if not o3d.io.write_point_cloud(path, cloud):

@@ -142,14 +142,41 @@ def member_nodes(
     with composing(extra_dirs) as words:
         for name in names:
             try:
-                cfg = composed([f"{group}={name}", *words])
-                node = OmegaConf.to_container(cfg[group], resolve=False)
+                node = _written(group, name, extra_dirs)
+                if node is None:
+                    cfg = composed([f"{group}={name}", *words])
+                    node = OmegaConf.select(cfg, group)
+                    if isinstance(node, DictConfig):
+                        node = OmegaConf.to_container(node, resolve=False)
                 if not isinstance(node, dict):
                     raise ConfigError(f"{group}={name}: expected a mapping with a _target_")
                 nodes[name] = {str(k): v for k, v in node.items()}
             except ConfigError as error:
                 nodes[name] = error
     return nodes
+
+
+def _written(group: str, name: str, extra_dirs: tuple[Path, ...]) -> Any:
+    """A member's config out of its own file, where composing would add nothing to it: a whole
+    composition takes 50 ms. None where it has to be composed."""
+    files = [folder / group / f"{name}.yaml" for folder in (config_dir(), *extra_dirs)]
+    present = [file for file in files if file.is_file()]
+    if len(present) != 1:  # nowhere, or one that covers another
+        return None
+    try:
+        text = present[0].read_text(encoding="utf-8")
+        cfg = OmegaConf.create(text)
+        node = OmegaConf.to_container(cfg, resolve=False)
+    except Exception:  # composing says what is wrong
+        return None
+    if not isinstance(node, dict):
+        return None
+    package = re.match(r"\s*# @package (\S+)", text)
+    is_global = package is not None and package[1] == "_global_"
+    inherited = [d for d in node.get("defaults", ()) if not str(d).startswith("{'override /")]
+    if inherited or (not is_global and (package or "defaults" in node)):
+        return None
+    return node.get(group) if is_global else node
 
 
 def from_hydra(cfg: DictConfig, overrides: tuple[str, ...] = ()) -> Settings:
