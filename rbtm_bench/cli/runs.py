@@ -129,7 +129,9 @@ def _run_supervised(settings: Settings, out: Path, progress: Any) -> None:
 
     refuse_existing(out, bool(settings.config["overwrite"]))
     with Supervisor() as supervisor:
-        supervisor.call(one_run.check_data, [Point("run", settings)], pin=settings.config["pin"])
+        points = [Point("run", settings)]
+        serves = one_run.foreign_to(points)
+        supervisor.call(one_run.check_data, points, pin=settings.config["pin"], serves=serves)
         limit = settings.config["time_limit"]
         record = supervisor.run(out.name, settings, out, limit, progress)
     if record["status"] != "done":
@@ -174,7 +176,8 @@ def _compare(asked: Asked, resumed: Path | None, jobs: int) -> int:
     rest = [point for point in points if not resumed or not _is_finished(point, out)]
     with drive.make_crew(jobs, asked.command) as crew:
         if rest:
-            crew[0].call(one_run.check_data, rest, pin=config["pin"])
+            serves = one_run.foreign_to(rest)
+            crew[0].call(one_run.check_data, rest, pin=config["pin"], serves=serves)
         with session.claimed(asked, out, not resumed, config["overwrite"]):
             sweep_folder.clear(out / point.name for point in rest)
             failed: list[str] = []

@@ -6,6 +6,7 @@ Units are metres, radians and seconds. Poses are 4x4 float64 and named by direct
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -36,6 +37,10 @@ class Scan:
     angles: Array | None = None
     odometry: Array | None = None
     ground_truth: Array | None = None
+
+    def copied(self) -> Scan:
+        """The scan with arrays of its own."""
+        return copy.deepcopy(self)
 
     def without_truth(self) -> Scan:
         """The scan as a method may see it."""

@@ -13,12 +13,9 @@ from __future__ import annotations
 
 import atexit
 import contextlib
-import fcntl
-import importlib
 import json
 import os
 import pickle
-import select
 import signal
 import subprocess
 import sys
@@ -31,7 +28,7 @@ from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
-from rbtm_bench.core.errors import RbtmBenchError, RunError
+from rbtm_bench.core.errors import RunError
 
 if TYPE_CHECKING:
     from rbtm_bench.runs.settings import Settings
@@ -41,19 +38,14 @@ Progress = Callable[[int, int], None]
 
 POLL_S = 0.5
 """How often a waiting parent looks whether its child still lives."""
-PROGRESS_S = 0.2
-"""Least time between two messages of progress."""
 START_S = 120.0
 """A child that is not ready by then counts as broken."""
 CLOSE_S = 10.0
 """What a child gets to end by itself when its work is over."""
 
-NEEDED = ("rbtm_bench.engine.one_run", "pyarrow.parquet", "evo.core.metrics")
-"""What every run needs, loaded before a time limit counts; a backend's library is not."""
-
 BOOT = (
     "import json, sys; sys.path[:], *words = json.loads(sys.argv.pop()); "
-    "from rbtm_bench.engine.crew import serve; serve(*words)"
+    "from rbtm_bench.engine.child import serve; serve(*words)"
 )
 """The child's program: the parent's module path first, so that both see the same modules."""
 
@@ -71,7 +63,8 @@ class StoppedError(RunError):
 @dataclass(eq=False)
 class Child:
     """A running child: its process, our end of the socket, the end of a pipe whose closing
-    kills it, and the file in which it describes a crash. ``pin``: on one core for life."""
+    kills it, and the file in which it describes a crash. ``pin``: on one core for life. ``serves``:
+    the foreign packages of its runs; what they change in it they change for themselves alone."""
 
     process: subprocess.Popen[bytes]
     channel: Connection
@@ -79,10 +72,11 @@ class Child:
     crash: IO[bytes]
     pin: bool
     cwd: Path
+    serves: frozenset[str] = frozenset()
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     @classmethod
-    def start(cls, pin: bool, cwd: Path) -> Child:
+    def start(cls, pin: bool, cwd: Path, serves: frozenset[str] = frozenset()) -> Child:
         """Start a child and wait until it is ready. Raises ``ChildError`` if that fails."""
         channel, theirs = Pipe()
         heard, lifeline = os.pipe()
@@ -103,7 +97,7 @@ class Child:
         finally:
             theirs.close()
             os.close(heard)
-        child = cls(process, channel, os.fdopen(lifeline, "wb"), crash, pin, cwd)
+        child = cls(process, channel, os.fdopen(lifeline, "wb"), crash, pin, cwd, serves)
         try:
             child.receive(time.monotonic() + START_S)
         except BaseException as error:
@@ -183,6 +177,11 @@ class Supervisor:
         """The child's process number, None if there is no child."""
         return self._child.process.pid if self._child else None
 
+    @property
+    def serves(self) -> frozenset[str] | None:
+        """The foreign packages that the child has run, None if there is no child."""
+        return self._child.serves if self._child else None
+
     def run(
         self,
         name: str,
@@ -197,20 +196,29 @@ class Supervisor:
         ``kill`` is called: the run then stays "started".
         """
         from rbtm_bench.engine.one_run import ended_by, run_one
+        from rbtm_bench.runs.plugins import foreign_modules
 
         pin = bool(settings.config.get("pin", True))
         try:
-            job = (run_one, (name, settings, out))
-            _, record = self._ask(job, pin, time_limit, progress)
+            job = (run_one, (name, settings, out.absolute()))
+            serves = foreign_modules(settings.config)
+            _, record = self._ask(job, pin, time_limit, progress, serves)
         except TimeoutError:
             return ended_by(RunError(f"time limit of {time_limit:g} s"), settings, out)
         except ChildError as error:
             return ended_by(error, settings, out, error.trace)
         return dict(record)
 
-    def call(self, function: Callable[..., Any], *args: Any, pin: bool = True) -> Any:
-        """``function(*args)`` in the child: returns what it returns, raises what it raises."""
-        return self._ask((function, args), pin)
+    def call(
+        self,
+        function: Callable[..., Any],
+        *args: Any,
+        pin: bool = True,
+        serves: frozenset[str] = frozenset(),
+    ) -> Any:
+        """``function(*args)`` in the child: returns what it returns, raises what it raises.
+        ``serves`` are the foreign packages that it looks into."""
+        return self._ask((function, args), pin, serves=serves)
 
     def _ask(
         self,
@@ -218,11 +226,12 @@ class Supervisor:
         pin: bool,
         time_limit: float | None = None,
         progress: Progress | None = None,
+        serves: frozenset[str] = frozenset(),
     ) -> Any:
         """Hand over a job and wait for the answer. Without an answer the child is gone."""
         message = (*job, list(self.argv or sys.argv), progress is not None)
         try:
-            child = self._begin(pickle.dumps(message), pin)
+            child = self._begin(pickle.dumps(message), pin, serves)
             deadline = None if time_limit is None else time.monotonic() + time_limit
             while (reply := child.receive(deadline))[0] == "progress":
                 if progress is not None:
@@ -237,10 +246,10 @@ class Supervisor:
             raise answer
         return answer
 
-    def _begin(self, message: bytes, pin: bool) -> Child:
+    def _begin(self, message: bytes, pin: bool, serves: frozenset[str]) -> Child:
         """A child that has begun with the job; one that died while it was idle is replaced."""
         for first in (True, False):
-            child = self._living(pin)
+            child = self._living(pin, serves)
             try:
                 child.channel.send_bytes(message)
                 child.receive()
@@ -251,13 +260,16 @@ class Supervisor:
                     raise ChildError(str(error)) from error
         raise AssertionError("two tries end in a return or an error")
 
-    def _living(self, pin: bool) -> Child:
-        """The child; a new one if there is none, or none that is pinned and placed like this."""
+    def _living(self, pin: bool, serves: frozenset[str]) -> Child:
+        """The child; a new one if there is none, or none that is pinned and placed like this and
+        serves these foreign packages: it never goes back to others, or to none."""
         cwd = self.cwd or Path.cwd()
-        if self._child is not None and (self._child.pin, self._child.cwd) != (pin, cwd):
+        wanted = (pin, cwd, serves)
+        child = self._child
+        if child is not None and (child.pin, child.cwd, child.serves) != wanted:
             self.close()
         if self._child is None:
-            self._child = Child.start(pin, cwd)
+            self._child = Child.start(*wanted)
         if self._stopped:
             raise StoppedError("stopped")
         return self._child
@@ -325,75 +337,3 @@ def _error_output() -> int:
     except OSError:
         return subprocess.DEVNULL
     return 2
-
-
-def serve(channel_fd: int, lifeline: int, crash: int, pin: bool) -> None:
-    """The child: answer one job after the other until the parent hangs up."""
-    import faulthandler
-
-    for fd in (channel_fd, lifeline, crash):
-        os.set_inheritable(fd, False)  # what a backend starts must not keep them open
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _die_at_end_of(lifeline)
-    faulthandler.enable(crash, all_threads=False)
-    if pin:
-        from rbtm_bench.runs.pinning import pin_to_free_core
-
-        pin_to_free_core()
-    for module in NEEDED:
-        importlib.import_module(module)
-    channel = Connection(channel_fd)
-    channel.send("ready")
-    while True:
-        try:
-            message = channel.recv_bytes()
-        except (EOFError, OSError):
-            return
-        channel.send("begun")
-        channel.send(_answer(message, channel))
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError):
-                stream.flush()
-
-
-def _answer(message: bytes, channel: Connection) -> tuple[str, Any]:
-    """Do a job: ("returned", value) or ("raised", exception)."""
-    try:
-        function, args, sys.argv[:], watched = pickle.loads(message)
-        options = {"progress": _reporter(channel)} if watched else {}
-        answer = ("returned", function(*args, **options))
-        pickle.dumps(answer)
-        return answer
-    except RbtmBenchError as error:
-        return "raised", error
-    except BaseException as error:
-        return "raised", RunError(f"{type(error).__name__}: {' '.join(str(error).split())}")
-
-
-def _reporter(channel: Connection) -> Progress:
-    """Sends progress on, as often as an eye can follow."""
-    sent = 0.0
-
-    def report(done: int, total: int) -> None:
-        nonlocal sent
-        now = time.monotonic()
-        if now - sent >= PROGRESS_S:
-            sent = now
-            channel.send(("progress", (done, total)))
-
-    return report
-
-
-def _die_at_end_of(lifeline: int) -> None:
-    """Have the kernel kill this process when the other end of a pipe closes.
-
-    The signal's default action needs no Python, so it reaches a backend that hangs in C. (Linux's
-    PR_SET_PDEATHSIG would come when the parent's thread ends, not its process.)
-    """
-    signal.signal(signal.SIGIO, signal.SIG_DFL)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGIO})
-    fcntl.fcntl(lifeline, fcntl.F_SETOWN, os.getpid())
-    flags = fcntl.fcntl(lifeline, fcntl.F_GETFL)
-    fcntl.fcntl(lifeline, fcntl.F_SETFL, flags | os.O_ASYNC)
-    if select.select([lifeline], [], [], 0)[0]:  # it closed before anybody watched it
-        os._exit(1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
-import queue
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -15,6 +14,7 @@ from typing import Any
 
 from rbtm_bench.engine.crew import Supervisor
 from rbtm_bench.runs.grid import Point
+from rbtm_bench.runs.plugins import foreign_modules
 from rbtm_bench.runs.settings import Settings
 
 Done = Callable[[str, dict[str, Any]], None]
@@ -60,18 +60,24 @@ def run_points(
             return run_points(points, out, jobs, done, fail_fast=fail_fast, part=part, crew=own)
     stop = threading.Event()
     left: list[str] = []
-    idle: queue.LifoQueue[Supervisor] = queue.LifoQueue()  # the warmest first
-    for supervisor in reversed(crew):
-        idle.put(supervisor)
+    idle, lock = list(reversed(crew)), threading.Lock()
+
+    def take(point: Point) -> Supervisor:
+        """An idle one (there is one for every thread), if possible with the right child."""
+        serves = foreign_modules(point.settings.config)
+        with lock:
+            right = [one for one in idle if one.serves == serves]
+            idle.remove(supervisor := (right or idle)[-1])
+            return supervisor
 
     def work(point: Point) -> tuple[str, dict[str, Any] | None]:
         if stop.is_set():
             return point.name, None
-        supervisor = idle.get()
+        supervisor = take(point)
         try:
             record = _supervised(supervisor, point, out, part)
         finally:
-            idle.put(supervisor)
+            idle.append(supervisor)
         if fail_fast and record["status"] != "done":
             stop.set()
         return point.name, record

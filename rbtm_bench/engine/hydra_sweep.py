@@ -75,11 +75,14 @@ class SweepPlan:
         """
         points = [Point(str(number), settings) for number, settings in enumerate(self.settings)]
         pin = bool(self.settings[0].config["pin"])
+        serves = one_run.foreign_to(points)
         if self.one_process:
-            own_supervisor(_place(asked), asked.command).call(one_run.check_data, points, pin=pin)
+            own_supervisor(_place(asked), asked.command).call(
+                one_run.check_data, points, pin=pin, serves=serves
+            )
         else:
             with Supervisor() as supervisor:
-                supervisor.call(one_run.check_data, points, pin=pin)
+                supervisor.call(one_run.check_data, points, pin=pin, serves=serves)
 
     def left(self, folders: list[Path]) -> list[str]:
         """The jobs that have no run, by number and words."""

@@ -8,15 +8,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rbtm_bench.core.errors import RbtmBenchError
+from rbtm_bench.core.errors import RbtmBenchError, RunError
 from rbtm_bench.core.files import write_json
 from rbtm_bench.engine import sweep_folder
+from rbtm_bench.engine.child import end_left_processes
 from rbtm_bench.runs import experiment, provenance
 from rbtm_bench.runs.claim import refuse_existing
 from rbtm_bench.runs.grid import Point
 from rbtm_bench.runs.identity import node_key
+from rbtm_bench.runs.plugins import foreign_modules
 from rbtm_bench.runs.settings import Settings
 from rbtm_bench.runs.workbench import own_workbench
+
+
+def foreign_to(points: Sequence[Point]) -> frozenset[str]:
+    """The packages, other than ours, that the points' plug-ins come from."""
+    return frozenset().union(*(foreign_modules(point.settings.config) for point in points))
 
 
 def check_data(points: Sequence[Point]) -> None:
@@ -51,7 +58,9 @@ def run_one(
     try:
         bench = own_workbench(settings)
         try:
-            return name, experiment.run(settings, out, progress, bench)
+            record = experiment.run(settings, out, progress, bench)
+            _refuse_leftovers(settings, out)
+            return name, record
         except BaseException:
             if bench is not None:
                 bench.forget()
@@ -59,8 +68,19 @@ def run_one(
         finally:
             if bench is not None:
                 bench.flush()
-    except (Exception, SystemExit) as error:
+    except BaseException as error:  # of a plug-in's making: Ctrl-C does not reach a worker
         return name, ended_by(error, settings, out, traceback.format_exc())
+
+
+def _refuse_leftovers(settings: Settings, out: Path) -> None:
+    """Raise ``RunError`` if foreign plug-ins have left processes running, which are then ended."""
+    foreign = foreign_modules(settings.config)
+    left = end_left_processes() if foreign else 0
+    if left:
+        record = sweep_folder.record_of(out)
+        write_json(out / "run.json", {**record, "status": "started"})
+        processes = "a process" if left == 1 else f"{left} processes"
+        raise RunError(f"{', '.join(sorted(foreign))} left {processes} behind")
 
 
 def ended_by(

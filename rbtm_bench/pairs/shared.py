@@ -62,10 +62,11 @@ class Bounded(Generic[T]):
 
 
 class SharedDataset(Dataset):
-    """A data set whose scans are read once, as far as memory allows."""
+    """A data set whose scans are read once, as far as memory allows. ``private``: whoever asks gets
+    a copy, so that a plug-in which writes into it changes no other run."""
 
-    def __init__(self, dataset: Dataset, limit: float) -> None:
-        self.plain = dataset
+    def __init__(self, dataset: Dataset, limit: float, private: bool = False) -> None:
+        self.plain, self.private = dataset, private
         self._scans: Bounded[Scan] = Bounded(limit)
         for name in ("planar", "has_beams", "has_odometry", "has_ground_truth", "skipped"):
             setattr(self, name, getattr(dataset, name))
@@ -79,7 +80,7 @@ class SharedDataset(Dataset):
             scan = self.plain[index]
             size = scan.points.nbytes + (0 if scan.ranges is None else scan.ranges.nbytes) + 1000
             self._scans.put(index, scan, size)
-        return scan
+        return scan.copied() if self.private else scan
 
     def __iter__(self) -> Iterator[Scan]:
         for index in range(len(self)):

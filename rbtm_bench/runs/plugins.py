@@ -78,6 +78,15 @@ def class_of(name: str, node: Any) -> type | None:
     return made if inspect.isclass(made) else None
 
 
+def foreign_modules(config: Any) -> frozenset[str]:
+    """The packages, other than ours, that the ``_target_``s of a config come from."""
+    if not isinstance(config, dict):
+        return frozenset()
+    own = str(config.get("_target_", "rbtm_bench")).partition(".")[0]
+    parts = [foreign_modules(node) for node in config.values()]
+    return frozenset({own} - {"rbtm_bench"}).union(*parts)
+
+
 def is_system(config: Any) -> bool:
     """Whether the chosen backend is a ``System``, which needs nobody to choose model scans."""
     from rbtm_bench.backends.system import System

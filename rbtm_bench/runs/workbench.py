@@ -25,7 +25,7 @@ from rbtm_bench.pairs.shared import (
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.runs import experiment
 from rbtm_bench.runs.identity import node_key
-from rbtm_bench.runs.plugins import is_system
+from rbtm_bench.runs.plugins import foreign_modules, is_system
 from rbtm_bench.runs.provenance import versions_of
 from rbtm_bench.runs.settings import Settings
 
@@ -95,7 +95,8 @@ class Workbench:
         if data_key != self._data_key:
             self.forget()
             plain = experiment.build(config["dataset"])
-            self._shared["dataset"] = SharedDataset(plain, self.bytes * SHARES["scans"])
+            limit, private = self.bytes * SHARES["scans"], bool(foreign_modules(config))
+            self._shared["dataset"] = SharedDataset(plain, limit, private)
             self._data_key = data_key
         dataset: SharedDataset = self._shared["dataset"]
         return dataset

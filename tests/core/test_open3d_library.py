@@ -12,7 +12,8 @@ library = open3d()
 assert library is sys.modules["open3d"] and "dash" not in sys.modules
 assert library is open3d()
 import open3d.visualization
-assert sys.modules["open3d.visualization.draw_plotly"].html.Div.__name__ == "Div" and "dash" in sys.modules
+viewer = sys.modules["open3d.visualization.draw_plotly"]
+assert viewer.html.Div.__name__ == "Div" and "dash" in sys.modules
 """
 
 
