@@ -23,7 +23,7 @@ from rbtm_bench.calibration.sampling import (
     Sample,
 )
 from rbtm_bench.calibration.tables import Findings, one_area
-from rbtm_bench.report.intervals import FEWEST
+from rbtm_bench.report.intervals import FEWEST_UNITS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -334,7 +334,7 @@ def _notes(
     for part in PARTS:
         some = measured.pairs[inside & (measured.pairs["part"] == part).to_numpy()]
         blocks = some["cluster"].nunique()
-        if blocks < FEWEST:
+        if blocks < FEWEST_UNITS:
             lines.append(
                 f"The {part} part has {blocks} independent blocks: no interval can be trusted."
             )

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rbtm_bench.core.types import Array
-from rbtm_bench.report.intervals import FEWEST, LEVEL, SEED
+from rbtm_bench.report.intervals import FEWEST_UNITS, LEVEL, SEED
 
 RESAMPLES = 2000
 
@@ -71,7 +71,7 @@ def area(
     couples = float(all_couples.sum())
     value = float(won.sum() / couples) if couples else float("nan")
     drawn = np.full(RESAMPLES, np.nan)
-    if blocks >= FEWEST and couples:
+    if blocks >= FEWEST_UNITS and couples:
         times = resampled(blocks)
         total = np.einsum("bi,ij,bj->b", times, all_couples, times, optimize=True)
         some = total > 0

@@ -8,6 +8,8 @@ import importlib.util
 import os
 import platform
 import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +35,7 @@ SYSTEM_LIBRARIES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libidn2-0 libudev1"
 
 
 def list_plugins(words: list[str]) -> int:
-    """``rbtm-bench list``: every plug-in, its parameters, and whether its library is there."""
+    """``rbtm-bench list``: every plug-in, its parameters, and whether its library is installed."""
     from rbtm_bench.core.wording import shown
     from rbtm_bench.runs.declared import PLUGIN_GROUPS
     from rbtm_bench.runs.settings import member_nodes
@@ -41,7 +43,7 @@ def list_plugins(words: list[str]) -> int:
     parser = argparse.ArgumentParser(
         prog="rbtm-bench list",
         description="Every plug-in of every group with its parameters and their defaults. "
-        "'missing' says why one cannot be used here.",
+        "'missing' says why one cannot be used.",
     )
     parser.add_argument("group", nargs="?", choices=PLUGIN_GROUPS, help="only this group")
     parser.add_argument("--config-dir", "-cd", action="append", default=[], type=Path)
@@ -77,12 +79,15 @@ def _about(group: str, name: str, node: dict[str, Any] | ConfigError) -> str:
 
 
 def doctor(words: list[str]) -> int:
-    """``rbtm-bench doctor``: what is there, what is not, and what to do about it."""
+    """``rbtm-bench doctor``: what is installed, what is not, and what to do about it."""
     argparse.ArgumentParser(
         prog="rbtm-bench doctor",
         description="Checks Python, libraries, configs, pinning and data; says what to do.",
     ).parse_args(words)
-    problems = [*_check_python(), *_check_libraries(), *_check_plugins(), *_check_machine()]
+    problems = []
+    for check in _checks():
+        print(check.line)
+        problems += [check.problem] if check.problem else []
     if not problems:
         print("all is well")
         return 0
@@ -92,63 +97,81 @@ def doctor(words: list[str]) -> int:
     return 1
 
 
-def _say(good: bool, what: str, advice: str = "") -> list[str]:
-    print(f"{'ok ' if good else 'BAD'}  {what}")
-    return [] if good else [f"{what}: {advice}"]
+@dataclass(frozen=True)
+class _Check:
+    """Something that was checked: whether it is good (None if that is a matter of choice), and
+    what to do if not."""
+
+    good: bool | None
+    what: str
+    advice: str = ""
+
+    @property
+    def line(self) -> str:
+        mark = {True: "ok ", False: "BAD", None: "-- "}[self.good]
+        return f"{mark}  {self.what}"
+
+    @property
+    def problem(self) -> str | None:
+        return f"{self.what}: {self.advice}" if self.good is False else None
 
 
-def _check_python() -> list[str]:
+def _checks() -> Iterator[_Check]:
+    """All checks, each made when it is asked for: importing the libraries takes seconds."""
     version = platform.python_version()
-    return _say(sys.version_info >= (3, 11), f"Python {version}", "use Python 3.11 or newer")
+    yield _Check(sys.version_info >= (3, 11), f"Python {version}", "use Python 3.11 or newer")
+    yield from _library_checks()
+    yield from _plugin_checks()
+    yield from _machine_checks()
 
 
-def _check_libraries() -> list[str]:
+def _library_checks() -> Iterator[_Check]:
     from importlib.metadata import PackageNotFoundError, version
 
-    problems = []
     for module, package in LIBRARIES:
         try:
             importlib.import_module(module)
-            problems += _say(True, f"{package} {version(package)}")
+            yield _Check(True, f"{package} {version(package)}")
         except PackageNotFoundError:
-            problems += _say(True, f"{package} (version unknown)")
+            yield _Check(True, f"{package} (version unknown)")
         except (ImportError, OSError) as error:
             advice = f"pip install {package}"
             if ".so" in str(error):
                 advice = f"as root: apt-get install {SYSTEM_LIBRARIES}"
-            problems += _say(False, f"{package} cannot be imported ({error})", advice)
-    return problems
+            yield _Check(False, f"{package} cannot be imported ({error})", advice)
 
 
-def _check_plugins() -> list[str]:
+def _plugin_checks() -> Iterator[_Check]:
     try:
         from rbtm_bench.runs.declared import PLUGIN_GROUPS
         from rbtm_bench.runs.installed import missing_library
         from rbtm_bench.runs.settings import config_dir, member_nodes
     except ImportError as error:
-        return _say(False, "plug-ins cannot be listed", f"first mend what is above ({error})")
-    problems = _say(
+        yield _Check(False, "plug-ins cannot be listed", f"first mend what is above ({error})")
+        return
+    yield _Check(
         (config_dir() / "config.yaml").is_file(), f"configs in {config_dir()}", "install again"
     )
     for group in PLUGIN_GROUPS:
         nodes = member_nodes(group)
         absent = {n: why for n in nodes if (why := missing_library(group, n, nodes[n]))}
         for name, why in absent.items():
-            problems += _say(False, f"{group}={name} is not usable", why)
+            yield _Check(False, f"{group}={name} is not usable", why)
         if not absent:
-            _say(True, f"{group}: {', '.join(nodes)}")
-    return problems
+            yield _Check(True, f"{group}: {', '.join(nodes)}")
 
 
-def _check_machine() -> list[str]:
+def _machine_checks() -> Iterator[_Check]:
     if hasattr(os, "sched_getaffinity"):
         cores = len(os.sched_getaffinity(0))
-        _say(True, f"{cores} cores; each run can be pinned to one, so numbers repeat")
+        yield _Check(True, f"{cores} cores; each run can be pinned to one, so numbers repeat")
     else:
-        print("--   this system cannot pin a process to a core: Open3D's last bits may vary")
+        yield _Check(
+            None, "this system cannot pin a process to a core: Open3D's last bits may vary"
+        )
     data = os.environ.get("RBTM_BENCH_DATA")
     if not data:
-        print("--   RBTM_BENCH_DATA is not set: tests on real data will be skipped")
-        return []
+        yield _Check(None, "RBTM_BENCH_DATA is not set: tests on real data will be skipped")
+        return
     advice = "point it at a folder that holds freiburg/, corrected/ and kitti/"
-    return _say((Path(data) / "freiburg").is_dir(), f"RBTM_BENCH_DATA={data}", advice)
+    yield _Check((Path(data) / "freiburg").is_dir(), f"RBTM_BENCH_DATA={data}", advice)

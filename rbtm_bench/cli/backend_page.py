@@ -44,33 +44,36 @@ def comments(path: Path) -> tuple[str, dict[str, tuple[str, str]]]:
         if not line.startswith("#"):
             break
         about.append(line.lstrip("# "))
-    found = {}
+    described = {}
     for line in lines:
         match = re.fullmatch(r"(\w+): *(.*?)(?: +# *(.*))?", line)
         if match and match[1] != "_target_":
-            found[match[1]] = (match[2].strip(), match[3] or SHARED.get(match[1], ""))
-        elif found and re.fullmatch(r" +# *(.*)", line):  # a comment that goes on
-            last = next(reversed(found))
-            found[last] = (found[last][0], f"{found[last][1]} {line.lstrip(' #')}".strip())
-    return " ".join(about), found
+            described[match[1]] = (match[2].strip(), match[3] or SHARED.get(match[1], ""))
+        elif described and re.fullmatch(r" +# *(.*)", line):  # a comment that goes on
+            last = next(reversed(described))
+            described[last] = (
+                described[last][0],
+                f"{described[last][1]} {line.lstrip(' #')}".strip(),
+            )
+    return " ".join(about), described
 
 
 def row(name: str, cls: Any, about: str) -> str:
     """A line of the table of methods."""
     dimensions = getattr(cls, "dimensions", ())
     flat, space = ("yes" if d in dimensions else "" for d in ("2d", "3d"))
-    said = getattr(cls, "converged_means", "")
+    converged_means = getattr(cls, "converged_means", "")
     method = about.rstrip(".").replace("|", "/")
     return (
-        f"| [`{name}`](#{name}) | {method} | {cls.library} | {flat} | {space} | {said} "
+        f"| [`{name}`](#{name}) | {method} | {cls.library} | {flat} | {space} | {converged_means} "
         f"| {cls.repeats} |"
     )
 
 
-def section(name: str, found: dict[str, tuple[str, str]]) -> str:
+def section(name: str, described: dict[str, tuple[str, str]]) -> str:
     """A backend's settings."""
     lines = [f"\n## {name}\n", "| setting | default | |", "|---|---|---|"]
-    for key, (default, comment) in found.items():
+    for key, (default, comment) in described.items():
         shown = "the data set's" if "$" in default else f"`{default}`"
         lines.append(f"| `{key}` | {shown} | {comment.replace('|', '/')} |")
     return "\n".join(lines) + "\n"
@@ -80,11 +83,11 @@ def page() -> str:
     """The whole page."""
     rows, sections = [], []
     for name in settings.members("backend"):
-        about, found = comments(settings.config_dir() / "backend" / f"{name}.yaml")
+        about, described = comments(settings.config_dir() / "backend" / f"{name}.yaml")
         node = settings.compose_settings([f"backend={name}"]).config["backend"]
         cls = plugins.locate(f"backend={name}", node["_target_"])
         rows.append(row(name, cls, about))
-        sections.append(section(name, found))
+        sections.append(section(name, described))
     return HEAD + TABLE + "\n".join(rows) + "\n" + "".join(sections)
 
 

@@ -14,6 +14,8 @@ from rbtm_bench.engine.progress import bar
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from matplotlib.figure import Figure
+
     from rbtm_bench.calibration.analysis import Measured
     from rbtm_bench.calibration.plan import CalibrationPlan
     from rbtm_bench.calibration.running import Asked
@@ -38,8 +40,8 @@ examples
   rbtm-bench run --config-dir mine +experiment=corridor             ... and use it
 
 Truth: true poses, else relations (short ones in a row are joined over larger gaps), else none:
-then registrations forward, backward and over a scan between must agree, which is said everywhere.
-The data are cut in two: the advice is chosen on one part and what it does is told on the other.
+then registrations forward, backward and over a scan between must agree, and every result says so.
+The data are cut in two: the advice is chosen on one part and what it does is measured on the other.
 
 The folder (--out, or out=DIR) holds report.txt (what is printed), summary.csv and summary.md (a row
 a backend and similarity), roc.csv, curves.csv (success and errors over similarity), pairs.parquet,
@@ -98,9 +100,11 @@ def _measure(
         tables.write(measured, findings, out)
         write_text(out / "report.txt", text + "\n")
         _write_record(points, plan, samples, findings, out)
-        figures = _draw(measured, findings, plan, samples, names, out)
+        drawn = _figures(measured, findings, plan, samples, names)
+        _save_figures(drawn, out)
+    files = "report.txt, summary.md, roc.csv, curves.csv, pairs.parquet"
     print(text)
-    print(f"\n{out}: report.txt, summary.md, roc.csv, curves.csv, pairs.parquet, {figures} figures")
+    print(f"\n{out}: {files}, {len(drawn)} figures")
 
 
 def _without_guess(point: Point) -> Point:
@@ -112,21 +116,20 @@ def _without_guess(point: Point) -> Point:
     return replace(point, settings=settings)
 
 
-def _draw(
+def _figures(
     measured: Measured,
     findings: Findings,
     plan: CalibrationPlan,
     samples: Sequence[Sample],
     names: Sequence[str],
-    out: Path,
-) -> int:
-    """Figures in ``out``; returns how many."""
+) -> list[tuple[str, Figure]]:
+    """The figures, each with the stem of its file's name."""
     from rbtm_bench.calibration import tables
     from rbtm_bench.plots import calibration, style
 
     stand_in = samples[0].truth is None
     with style.paper():
-        drawn = calibration.figures(
+        return calibration.figures(
             tables.pair_rows(measured),
             measured.scores,
             findings.curves,
@@ -135,13 +138,18 @@ def _draw(
             stand_in,
             ", ".join(names),
         )
+
+
+def _save_figures(drawn: Sequence[tuple[str, Figure]], out: Path) -> None:
+    from rbtm_bench.plots import style
+
+    with style.paper():
         for stem, figure in drawn:
             style.save(figure, out, re.sub(r"[^\w.=+-]+", "_", stem))
-    return len(drawn)
 
 
 def _data_names(points: Sequence[Point], asked: Asked) -> list[str]:
-    """The data sets as one would name them: the log's name where there is one."""
+    """The data sets as one would name them: a log by its file's name."""
     names = []
     for label, node in asked.data.items():
         path = node.get("path")
@@ -184,7 +192,7 @@ def _place_to_write(name: str | None) -> Path | None:
     if path.absolute().parent.name != "experiment":
         path = path.parent / "experiment" / path.name
     if path.exists():
-        raise ConfigError(f"--write {path}: is already there; choose another name")
+        raise ConfigError(f"--write {path}: exists already; choose another name")
     return path
 
 
@@ -195,7 +203,7 @@ def _write_experiment(out: Path, asked: Asked, points: Sequence[Point], path: Pa
 
     content = experiment_file.content(out, asked, points)
     if content is None:
-        print(f"{path}: not written, there is nothing to advise", file=sys.stderr)
+        print(f"{path}: not written, no advice for these data", file=sys.stderr)
         return
     make_folder(path.parent)
     write_text(path, content)
@@ -244,10 +252,10 @@ def _numbers(option: str, text: str, kind: type) -> list[Any]:
 def _two(option: str, text: str | None) -> tuple[float, float] | None:
     if text is None:
         return None
-    found = _numbers(option, text, float)
-    if len(found) != 2:
+    numbers = _numbers(option, text, float)
+    if len(numbers) != 2:
         raise ConfigError(f"{option} {text}: expected two numbers, metres and degrees: 0.1,2")
-    return found[0], found[1]
+    return numbers[0], numbers[1]
 
 
 def _parse(words: list[str]) -> tuple[argparse.Namespace, list[str]]:

@@ -25,7 +25,7 @@ commands
   plot      runs as figures:     rbtm-bench plot results/compare
   similarity scores of all pairs:  rbtm-bench similarity dataset.environment=l_turn --matrix
   calibrate   error against similarity, the threshold to use:  rbtm-bench calibrate --success 0.95
-  list      every plug-in, its parameters, and whether its library is there
+  list      every plug-in, its parameters, and whether its library is installed
   doctor    check this installation and say what to do
 
 what goes on the command line

@@ -42,7 +42,7 @@ def complete(words: list[str]) -> int:
     rest = re.sub(r"(\s[\w./]+=[^\s,'\"({\[]+),[^\s'\"({\[]+(?=\s)", r"\1", rest)
     os.environ["COMP_LINE"] = f"{program}{rest}"
     os.environ["COMP_POINT"] = str(len(os.environ["COMP_LINE"]))
-    # half a line often cannot be composed: then there are no suggestions, and no noise either
+    # half a line often cannot be composed: then nothing is suggested, without noise either
     with (
         open(os.devnull, "w") as nowhere,
         contextlib.redirect_stderr(nowhere),

@@ -21,7 +21,7 @@ def show(words: list[str]) -> int:
     options = parser.parse_args(words)
     from rbtm_bench.report import inspection
 
-    print(inspection.shown(inspection.find_run(options.run)))
+    print(inspection.run_text(inspection.find_run(options.run)))
     return 0
 
 
@@ -40,6 +40,6 @@ def diff(words: list[str]) -> int:
     from rbtm_bench.report import inspection
 
     a, b = (inspection.find_run(path) for path in options.runs)
-    found = inspection.compared(a, b)
-    print(inspection.told(a, b, found))
-    return 0 if found.equal else 1
+    differences = inspection.compared(a, b)
+    print(inspection.differences_text(a, b, differences))
+    return 0 if differences.equal else 1

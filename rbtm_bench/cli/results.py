@@ -36,7 +36,7 @@ log is one data set, and its relations are resampled by the place and time they 
 selector for a backend; better and worse stand only where six data sets or more agree enough.
 --held-out and --choose-on show settings on other data than those that chose them: for every
 data set, backend and selector the setting with the least mean logarithm of the main error on the
-choosing data (a ratio counts the same on every data set); one with a failed run there only where
+choosing data (a ratio counts the same on every data set); one with a failed run only where
 all have one; of equal ones the first. With --intervals or --against: of these rows.
 docs/statistics.md says how, docs/metrics.md defines every metric."""
 
@@ -81,7 +81,7 @@ def _table_parser() -> argparse.ArgumentParser:
         prog="rbtm-bench table",
         description="Runs (run folders, or folders of them: several sweeps and comparisons too) "
         "as one table.\nUnits are in the column names. What makes rows hard to compare (other "
-        "data, other versions)\nis said on standard error. rbtm-bench show RUN tells what is "
+        "data, other versions)\nis on standard error. rbtm-bench show RUN tells what is "
         "behind a row.",
         epilog=TABLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -150,12 +150,12 @@ def _print_chosen(chosen: Sequence[MethodRuns], fmt: str, columns: str | None) -
     matter."""
     from rbtm_bench.report import held_out, render
 
-    rows, notes = held_out.table(chosen), held_out.notes(chosen)
-    names, main = held_out.columns(rows)
+    rows, notes = held_out.chosen_table(chosen), held_out.choice_notes(chosen)
+    names, main = held_out.chosen_columns(rows)
     if columns:
         rows = rows[render.existing_columns(rows, columns)]
     elif fmt == "text":
-        rows, same = render.screen(rows, names, (*render.ALWAYS, *main))
+        rows, same = render.screen_table(rows, names, (*render.ALWAYS, *main))
         notes = [f"the same in every row: {same}", *notes] if same else notes
     elif fmt not in ("csv", "json"):
         rows = rows[names]
@@ -170,24 +170,24 @@ def _print_statistics(
     from rbtm_bench.report import held_out, paired, render, with_intervals
 
     metrics = with_intervals.named_metrics(runs, options.metric)
-    found = held_out.pooled(chosen) if chosen and options.pool else chosen
+    methods = held_out.pooled(chosen) if chosen and options.pool else chosen
     if options.against:
-        rows = paired.against(runs, options.against, metrics, options.pool, found)
-        notes = paired.notes(rows)
+        rows = paired.against(runs, options.against, metrics, options.pool, methods)
+        notes = paired.difference_notes(rows)
     else:
         statistic: Statistic = "mean" if options.mean else "median"
-        rows = with_intervals.intervals(runs, metrics, statistic, options.pool, found)
-        notes = with_intervals.notes(rows, statistic)
-    notes += held_out.notes(chosen) if chosen else []
+        rows = with_intervals.interval_table(runs, metrics, statistic, options.pool, methods)
+        notes = with_intervals.interval_notes(rows, statistic)
+    notes += held_out.choice_notes(chosen) if chosen else []
     if options.format not in ("csv", "json"):
         rows = with_intervals.folded(rows)
     if options.columns:
         rows = rows[render.existing_columns(rows, options.columns)]
     elif options.format == "text":
-        told = [*frame.METHOD, "seeds", "status", "unit", "reference", "reference_status"]
-        told += ["metric"]
-        keep = [*render.ALWAYS, *(c for c in rows if c not in told)]
-        rows, same = render.screen(rows, list(rows), keep)
+        descriptive = [*frame.METHOD, "seeds", "status", "unit", "reference", "reference_status"]
+        descriptive += ["metric"]
+        keep = [*render.ALWAYS, *(c for c in rows if c not in descriptive)]
+        rows, same = render.screen_table(rows, list(rows), keep)
         notes = [f"the same in every row: {same}", *notes] if same else notes
     print(render.render(rows, options.format))
     _say(notes, options.format)
@@ -210,17 +210,17 @@ def _print_best(best: pd.DataFrame, fmt: str, columns: str | None) -> None:
 
 
 def _say(lines: Sequence[str], fmt: str) -> None:
-    """What must be said with a table: below it, or on standard error where that would not be a
+    """Print the notes of a table: below it, or on standard error where that would not be a
     table any more."""
     for line in lines:
         print(line, file=sys.stdout if fmt == "text" else sys.stderr)
 
 
 def _warn(runs: Sequence[Run]) -> None:
-    """Say on standard error what makes the runs hard to compare."""
+    """Print on standard error what makes the runs hard to compare."""
     from rbtm_bench.report import screen
 
-    for line in screen.differences(runs):
+    for line in screen.comparison_warnings(runs):
         print(f"warning: {line}", file=sys.stderr)
 
 

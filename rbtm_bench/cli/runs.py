@@ -28,7 +28,7 @@ examples
 The folder (out=DIR) holds config.yaml, run.json, steps.parquet (a row a scan), trajectory.tum,
 metrics.json, map.npz and, on data with relations, relations.parquet. An existing one is refused
 unless overwrite=true. time_limit=SECONDS ends a run that takes longer.
-rbtm-bench list shows what there is to choose; --cfg job prints the composed settings."""
+rbtm-bench list shows the choices; --cfg job prints the composed settings."""
 
 COMPARE_HELP = """\
 A grid of experiments, one table. Comma lists multiply; a key such as selector.window applies to

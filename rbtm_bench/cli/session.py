@@ -28,20 +28,20 @@ def asked(
         yield sweep_folder.Asked.now(kind, words, overrides, dirs, quick), None
         return
     folder = Path(options.resume)
-    found = sweep_folder.Asked.read(folder, kind).again(
+    resumed = sweep_folder.Asked.read(folder, kind).again(
         overrides, options.fail_fast, options.config_dir
     )
-    for change in found.changes():
+    for change in resumed.changes():
         print(f"rbtm-bench: since {folder} was begun: {change}", file=sys.stderr)
-    if found.cwd == os.getcwd():
-        yield found, folder
-    elif Path(found.cwd).is_dir():
+    if resumed.cwd == os.getcwd():
+        yield resumed, folder
+    elif Path(resumed.cwd).is_dir():
         folder = folder.resolve()
-        with contextlib.chdir(found.cwd):  # where its relative paths begin
-            yield found, folder
+        with contextlib.chdir(resumed.cwd):  # where its relative paths begin
+            yield resumed, folder
     else:
-        print(f"rbtm-bench: {found.cwd}, where this was begun, is gone", file=sys.stderr)
-        yield replace(found, cwd=os.getcwd()), folder
+        print(f"rbtm-bench: {resumed.cwd}, where this was begun, is gone", file=sys.stderr)
+        yield replace(resumed, cwd=os.getcwd()), folder
 
 
 @contextlib.contextmanager
@@ -74,7 +74,9 @@ def finish(
     code = 0
     if runs:
         try:
-            print(screen.of_runs(out, runs))
+            tables = screen.tables_of(runs)
+            screen.write_tables(out, tables)
+            print(screen.of_runs(out, tables))
         except OSError as error:
             code = 1
             print(f"rbtm-bench: no table: {error}", file=sys.stderr)
@@ -82,7 +84,9 @@ def finish(
         print(f"{reused} of {len(folders)} runs were done before", file=sys.stderr)
     if left:
         print(f"{len(left)} runs were not started: {', '.join(left)}", file=sys.stderr)
-    return max(code, _report_failures(failed, len(folders)), 1 if left or not runs else 0)
+    if failed:  # the summary lists them with their reasons
+        print(f"rbtm-bench: {len(failed)} of {len(folders)} runs failed", file=sys.stderr)
+    return 1 if failed or left or not runs else code
 
 
 def merge_pairs(settings: Settings, out: Path) -> None:
@@ -92,10 +96,3 @@ def merge_pairs(settings: Settings, out: Path) -> None:
         from rbtm_bench.pairs.store import merge
 
         merge(folder)
-
-
-def _report_failures(failed: list[str], total: int) -> int:
-    """The summary lists them with their reasons."""
-    if failed:
-        print(f"rbtm-bench: {len(failed)} of {total} runs failed", file=sys.stderr)
-    return 1 if failed else 0

@@ -33,7 +33,7 @@ thousands of scans every n-th is drawn, which the title says; the file has all o
 
 similarity.npz
   scores    matrix: (N, N), row j is scan j as the new scan, column k scan k as its model
-            band:   (N, W - 1), column g - 1 is scan j with scan j - g; NaN where there is none
+            band:   (N, W - 1), column g - 1 is scan j with scan j - g; NaN before the first scan
   scans     (N,) numbers           stamps (N,) s           metres (N,) travelled, if known
   settings  the composed settings, as JSON
 A similarity that compares scans under a guess gets odometry between the two, else no motion."""
@@ -68,12 +68,12 @@ def similarity(words: list[str]) -> int:
     stride = config["dataset"].get("stride")
     started = time.perf_counter()
     with bar("scans") as progress:
-        found = scorematrix.compute(
+        scores = scorematrix.compute(
             dataset, plugin, window, options.memory, progress.update_to, stride
         )
     seconds = time.perf_counter() - started
-    _write(found, settings, out)
-    print(_summary(found, settings, seconds, out))
+    _write(scores, settings, out)
+    print(_summary(scores, settings, seconds, out))
     return 0
 
 
@@ -84,43 +84,44 @@ def _window(config: dict[str, Any]) -> int:
     return int(window)
 
 
-def _write(found: Scores, settings: Settings, out: Path) -> None:
+def _write(scores: Scores, settings: Settings, out: Path) -> None:
     from rbtm_bench.core.files import make_folder
-    from rbtm_bench.plots import scores, style
+    from rbtm_bench.plots import style
+    from rbtm_bench.plots.scores import draw
     from rbtm_bench.runs.experiment import write_config
 
     make_folder(out)
-    found.write(out / "similarity.npz", settings.config)
+    scores.write(out / "similarity.npz", settings.config)
     write_config(out, settings)
     (out / "config.yaml").replace(out / "settings.yaml")  # config.yaml would say: a run
     data, similarity = (settings.choices[group] for group in ("dataset", "similarity"))
     path = settings.config["dataset"].get("path")
     name = data if path is None else f"{data} {Path(str(path)).name}"
     with style.paper():
-        style.save(scores.draw(found, name, similarity), out, "similarity")
+        style.save(draw(scores, name, similarity), out, "similarity")
 
 
-def _summary(found: Scores, settings: Settings, seconds: float, out: Path) -> str:
+def _summary(scores: Scores, settings: Settings, seconds: float, out: Path) -> str:
     import numpy as np
 
-    shape = " x ".join(map(str, found.scores.shape))
+    shape = " x ".join(map(str, scores.scores.shape))
     name = settings.choices["similarity"]
-    kind = "matrix" if found.window is None else f"band, window {found.window}"
-    size = found.scores.nbytes / 1e6
+    kind = "matrix" if scores.window is None else f"band, window {scores.window}"
+    size = scores.scores.nbytes / 1e6
     lines = [f"{kind} of {name}: {shape} scores, {size:.1f} MB as float32, {seconds:.1f} s"]
-    gaps = [g for g in (1, 2, 5, 10, 20, 50, 100, 200, 500) if g < found.widest]
+    gaps = [g for g in (1, 2, 5, 10, 20, 50, 100, 200, 500) if g < scores.widest]
     words = []
     for gap in gaps:
-        values = found.at_gap(gap)
-        there = values[np.isfinite(values)]
-        words.append(f"{gap}: {np.median(there):.2f}" if len(there) else f"{gap}: -")
+        values = scores.at_gap(gap)
+        defined = values[np.isfinite(values)]
+        words.append(f"{gap}: {np.median(defined):.2f}" if len(defined) else f"{gap}: -")
     if words:
         lines.append("median score by gap: " + ", ".join(words))
-    share = found.undefined_share
+    share = scores.undefined_share
     if share:
         lines.append(f"undefined: {share:.2%} of the pairs")
-    if found.guess:
-        lines.append(f"compared under a guess: {found.guess}")
+    if scores.guess:
+        lines.append(f"compared under a guess: {scores.guess}")
     lines.append(f"{out}: similarity.npz, similarity.png, similarity.pdf, settings.yaml")
     return "\n".join(lines)
 

@@ -41,7 +41,7 @@ def is_system(run: Run) -> bool:
 
 
 def section(run: Run, group: str) -> dict[str, Any]:
-    """The settings of a group; empty if there are none."""
+    """The settings of a group; empty if it has none."""
     node = run.config.get(group)
     return node if isinstance(node, dict) else {}
 
@@ -134,7 +134,7 @@ def unbroken(text: str) -> str:
 
 
 def main_error(runs: Sequence[Run]) -> tuple[str, str, str] | None:
-    """Key, unit and name of the first of ``tables.ERRORS`` that a run has."""
+    """Key, unit and name of the first of ``best_settings.ERRORS`` that a run has."""
     for key, unit, name in best_settings.ERRORS:
         if any(value(run, key) is not None for run in runs):
             return key, unit, name
@@ -151,10 +151,10 @@ def value(run: Run, key: str) -> float | None:
 
 def error_words(run: Run) -> str:
     """The run's main error in words: "final position error 25.9 mm"; "" if it has none."""
-    found = main_error([run])
-    if found is None:
+    error = main_error([run])
+    if error is None:
         return ""
-    key, unit, name = found
+    key, unit, name = error
     return f"{name} {quantity(run.metrics[key], unit)}"
 
 

@@ -1,4 +1,4 @@
-"""The best setting of every method, of how many, and what must be said beside it."""
+"""The best setting of every method, of how many, and the notes beside it."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ ERRORS = tuple((column.name, column.unit, column.title) for column in MAIN)
 BEST = (*METHOD, "seeds", "status", "coverage")
 """The columns of the table of best settings, before the errors, ms_per_scan and tried."""
 
-TOLD = 4
+MOST_LISTED = 4
 """Names or sentences of a kind at most, so that a screen holds all."""
 
 SECOND = {column.name: column.beside for column in MAIN}
-"""What stands beside an error in the table of best settings: the first of these that is there."""
+"""What stands beside an error in the table of best settings: the first of these that it has."""
 
 
 def main_error(table: pd.DataFrame) -> tuple[str, str, str] | None:
@@ -37,24 +37,24 @@ def best(table: pd.DataFrame) -> pd.DataFrame:
     ``table`` has a row a method (medians over seeds). ``tried`` counts the settings that a row is
     the best of: all that were allowed, failed ones too; ``equal`` those with the very same error,
     of which the one with the smallest window, then threshold, stands for all. Where none has an
-    error, there is no best: the row names no setting.
+    error, none is the best: the row names no setting.
     """
     import pandas as pd
 
     rows: list[dict[str, Any]] = []
-    for _, here in table.groupby("data", sort=False, dropna=False):
-        found = main_error(here)
-        for _, methods in here.groupby("backend", sort=False, dropna=False):
+    for _, on_data in table.groupby("data", sort=False, dropna=False):
+        error = main_error(on_data)
+        for _, methods in on_data.groupby("backend", sort=False, dropna=False):
             groups = [g for _, g in methods.groupby("selector", sort=False, dropna=False)]
-            chosen = [_best_of(group, found[0] if found else None) for group in groups]
-            if found:
-                chosen.sort(key=lambda r: math.inf if is_empty(r[found[0]]) else r[found[0]])
+            chosen = [_best_of(group, error[0] if error else None) for group in groups]
+            if error:
+                chosen.sort(key=lambda r: math.inf if is_empty(r[error[0]]) else r[error[0]])
             rows += chosen
     return pd.DataFrame(rows)
 
 
 def _best_of(settings: pd.DataFrame, key: str | None) -> dict[str, Any]:
-    """The winner of one selector's settings, and how many there were."""
+    """The winner of one selector's settings, and their number."""
     tried = len(settings)
     won = winner(settings, key) if key else None
     if won is not None or tried == 1:
@@ -84,19 +84,19 @@ def best_columns(table: pd.DataFrame) -> tuple[list[str], list[str]]:
     """The columns to show of a table of best settings; of these the main errors."""
     main: dict[str, None] = {}
     second: dict[str, None] = {}
-    for _, here in table.groupby("data", sort=False, dropna=False):
-        found = main_error(here)
-        if found:
-            main[found[0]] = None
-            there = [k for k in SECOND[found[0]] if k in here and here[k].notna().any()]
-            second.update(dict.fromkeys(there[:1]))
+    for _, on_data in table.groupby("data", sort=False, dropna=False):
+        error = main_error(on_data)
+        if error:
+            main[error[0]] = None
+            beside = [k for k in SECOND[error[0]] if k in on_data and on_data[k].notna().any()]
+            second.update(dict.fromkeys(beside[:1]))
     errors = [*main, *(key for key in second if key not in main)]
     names = [*BEST, *errors, "ms_per_scan", "tried"]
     return [name for name in names if name in table], list(main)
 
 
 def chances(best: pd.DataFrame) -> list[str]:
-    """What must be said beside a table of best settings: best of how many, on which data."""
+    """The notes beside a table of best settings: best of how many, on which data."""
     if best.empty or best["tried"].max() == 1:
         return []
     lines = ["best of several was chosen on the very data shown: confirm it on other data or seeds"]
@@ -118,11 +118,11 @@ def equal_chances(best: pd.DataFrame) -> list[str]:
         places.setdefault(tuple(sorted(tries, key=lambda t: (-t[1], t[0]))), []).append(where)
     if best["tried"].nunique() == 1:
         return [*lines, f"every method had {best['tried'].iloc[0]} settings to choose from"]
-    for numbers, names in list(places.items())[:TOLD]:
+    for numbers, names in list(places.items())[:MOST_LISTED]:
         prefix = f"{listed(names)}: " if len(places) > 1 else ""
         unequal = ": not an equal chance" if len({number for _, number in numbers}) > 1 else ""
         lines.append(f"{prefix}{_tries(numbers)}{unequal}")
-    more = len(places) - TOLD
+    more = len(places) - MOST_LISTED
     return [*lines, f"and {more} more such: see the column tried"] if more > 0 else lines
 
 
@@ -140,6 +140,6 @@ def _tries(tries: Sequence[tuple[str, int]]) -> str:
 
 def listed(names: Sequence[str]) -> str:
     """ "a, b and c"; of many the first ones."""
-    if len(names) > TOLD:
-        names = [*names[: TOLD - 1], f"{len(names) - TOLD + 1} more"]
+    if len(names) > MOST_LISTED:
+        names = [*names[: MOST_LISTED - 1], f"{len(names) - MOST_LISTED + 1} more"]
     return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))

@@ -159,14 +159,19 @@ def methods(runs: Sequence[Run]) -> list[MethodRuns]:
     groups: dict[str, list[Run]] = {}
     for run in runs:
         groups.setdefault(run.method, []).append(run)
-    found = [
+    unordered = [
         MethodRuns(_median_row([row(run, words[run.path], data[run.path]) for run in group]), group)
         for group in groups.values()
     ]
+    return by_data_and_backend(unordered)
+
+
+def by_data_and_backend(methods: Sequence[MethodRuns]) -> list[MethodRuns]:
+    """Data set by data set, the methods of a backend together."""
     order: dict[tuple[Any, Any], int] = {}
-    for one in found:
-        order.setdefault((one.row["data"], one.row["backend"]), len(order))
-    return sorted(found, key=lambda one: order[(one.row["data"], one.row["backend"])])
+    for method in methods:
+        order.setdefault((method.row["data"], method.row["backend"]), len(order))
+    return sorted(methods, key=lambda method: order[(method.row["data"], method.row["backend"])])
 
 
 def over_seeds(runs: Sequence[Run]) -> pd.DataFrame:

@@ -1,10 +1,10 @@
 """Settings chosen on other data than those shown.
 
-The best of many settings on the data that chose it is lucky as well as good. Here a setting is
+The best of many settings on the data that chose it is lucky as well as good. So a setting is
 chosen by its score on choosing data, for every backend and selector apart, and its runs on the
 data shown are the row. The score is the mean, over choosing data sets, of the mean logarithm of
-the main error (``tables.ERRORS``) of their runs: a ratio counts the same on data of millimetres
-and on data of metres, and one bad data set does not decide alone.
+the main error (``best_settings.ERRORS``) of their runs: a ratio counts the same on data of
+millimetres and on data of metres, and one bad data set does not decide alone.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ LEAST = 1e-12
 FEW = 3
 """Names of choosing data sets that a row lists at most."""
 
-COLUMNS = ("tried", "equal", "left_out", "chosen_on")
+CHOICE_COLUMNS = ("tried", "equal", "left_out", "chosen_on")
 """What a row says of its choice: settings it was chosen from, those of them with the very same
 score, those that were not run on all of the data, and where it was chosen."""
 
 RULE = (
     "each setting was chosen on other data (chosen_on): the least mean logarithm of the main error "
-    "there; one with a failed run only where all have one; of equal ones the first"
+    "on it; one with a failed run only where all have one; of equal ones the first"
 )
 
 
@@ -56,13 +56,13 @@ def leave_one_out(runs: Sequence[Run]) -> list[MethodRuns]:
     """For every data set, backend and selector the setting that did best on the other data sets,
     with its runs on this one.
 
-    Rows have ``COLUMNS`` besides the usual ones. Where no setting can be chosen (no other data,
-    or no number on them) and there are several, the row names none and has no runs.
+    Rows have ``CHOICE_COLUMNS`` besides the usual ones. Where none of several settings can be
+    chosen (no other data, or no number on them) the row names none and has no runs.
 
     Raises ``ConfigError`` if all runs are on one data set.
     """
-    found = _Sorted(runs, runs)
-    names = found.shown
+    sorted_runs = _Sorted(runs, runs)
+    names = sorted_runs.shown
     if len(names) < 2:
         raise ConfigError(
             f"--held-out: all runs are on one data set ({names[0]}): expected several, or name "
@@ -71,13 +71,13 @@ def leave_one_out(runs: Sequence[Run]) -> list[MethodRuns]:
     label = _labels(names)
     chosen = []
     for data in names:
-        for _, settings in found.on(data):
-            there = {name for one in settings.values() for name in one.choosing} - {data}
-            others = [name for name in names if name in there]
+        for _, settings in sorted_runs.on(data):
+            run_on = {name for one in settings.values() for name in one.choosing} - {data}
+            others = [name for name in names if name in run_on]
             words = ", ".join(label[name] for name in others)
             words = f"{len(others)} other data sets" if len(others) > FEW else words
-            chosen.append(_choose(found, settings, data, others, words))
-    return _in_order(chosen)
+            chosen.append(_choose(sorted_runs, settings, data, others, words))
+    return frame.by_data_and_backend(chosen)
 
 
 def choose_on(runs: Sequence[Run], key: str, values: Sequence[str]) -> list[MethodRuns]:
@@ -85,7 +85,7 @@ def choose_on(runs: Sequence[Run], key: str, values: Sequence[str]) -> list[Meth
     are shown. ``key`` is "seed" or a setting ("dataset.environment", or "environment" alone).
 
     The runs that choose for a data set are those on a data set of that name (other seeds of a
-    place), and where there are none, all of them.
+    place), or else all of them.
 
     Raises ``ConfigError`` for a key or a value that no run has, if nothing is left to show, and if
     runs that choose are on the very data that others show (a log has no seeds).
@@ -97,22 +97,22 @@ def choose_on(runs: Sequence[Run], key: str, values: Sequence[str]) -> list[Meth
         same = next(run for run in shown if fingerprint(run) in twice)
         raise ConfigError(
             f"--choose-on {words}: settings would be chosen on the very data of {same.path.name}, "
-            f"which is shown ({key} changes nothing there): expected runs on other data"
+            f"which is shown ({key} does not change the data): expected runs on other data"
         )
-    found = _Sorted(choosing, shown)
+    sorted_runs = _Sorted(choosing, shown)
     chosen = []
-    for data in found.shown:
-        for _, settings in found.on(data):
-            there = list(dict.fromkeys(d for one in settings.values() for d in one.choosing))
-            own = [data] if data in there else there
-            chosen.append(_choose(found, settings, data, own, words))
-    return _in_order(chosen)
+    for data in sorted_runs.shown:
+        for _, settings in sorted_runs.on(data):
+            run_on = list(dict.fromkeys(d for one in settings.values() for d in one.choosing))
+            own = [data] if data in run_on else run_on
+            chosen.append(_choose(sorted_runs, settings, data, own, words))
+    return frame.by_data_and_backend(chosen)
 
 
 def fingerprint(run: Run) -> str | None:
     """Of the run's data; None if it is not known."""
-    found = run.record.get("dataset_fingerprint")
-    return str(found) if found else None
+    recorded = run.record.get("dataset_fingerprint")
+    return str(recorded) if recorded else None
 
 
 def parse(word: str) -> tuple[str, list[str]]:
@@ -124,27 +124,27 @@ def parse(word: str) -> tuple[str, list[str]]:
     return key.strip(), values
 
 
-def table(chosen: Sequence[MethodRuns]) -> pd.DataFrame:
+def chosen_table(chosen: Sequence[MethodRuns]) -> pd.DataFrame:
     """A row a data set, backend and selector; within a backend by the main error."""
     import pandas as pd
 
     rows = pd.DataFrame([method.row for method in chosen])
     parts = []
-    for _, here in rows.groupby("data", sort=False, dropna=False):
-        found = best_settings.main_error(here)
-        for _, methods in here.groupby("backend", sort=False, dropna=False):
-            parts.append(methods.sort_values(found[0], kind="stable") if found else methods)
+    for _, on_data in rows.groupby("data", sort=False, dropna=False):
+        error = best_settings.main_error(on_data)
+        for _, methods in on_data.groupby("backend", sort=False, dropna=False):
+            parts.append(methods.sort_values(error[0], kind="stable") if error else methods)
     return pd.concat(parts, ignore_index=True)
 
 
-def columns(table: pd.DataFrame) -> tuple[list[str], list[str]]:
+def chosen_columns(table: pd.DataFrame) -> tuple[list[str], list[str]]:
     """The columns to show of the table; of these the main errors."""
     names, main = best_settings.best_columns(table)
     return [*names, "chosen_on"], main
 
 
-def notes(chosen: Sequence[MethodRuns]) -> list[str]:
-    """What must be said beside a table of such rows."""
+def choice_notes(chosen: Sequence[MethodRuns]) -> list[str]:
+    """The notes beside a table of settings chosen on other data."""
     import pandas as pd
 
     rows = pd.DataFrame([method.row for method in chosen])
@@ -180,7 +180,7 @@ def pooled(chosen: Sequence[MethodRuns]) -> list[MethodRuns]:
 def _pooled(group: Sequence[MethodRuns], name: str) -> MethodRuns:
     row = dict(group[0].row)
     for method in group[1:]:
-        for key in (*METHOD, *COLUMNS):
+        for key in (*METHOD, *CHOICE_COLUMNS):
             if row.get(key) != method.row.get(key):
                 row[key] = max(row[key], method.row[key]) if key in ("tried", "left_out") else None
         row.update({k: v for k, v in method.row.items() if row.get(k) is None and k not in METHOD})
@@ -227,20 +227,22 @@ class _Sorted:
             if any(data in setting.shown for setting in settings.values())
         ]
 
-    def method(self, setting: _Setting, data: str, said: dict[str, Any]) -> MethodRuns:
-        """The runs of a setting on a data set, with what is said of its choice in the row."""
+    def method(self, setting: _Setting, data: str, choice: dict[str, Any]) -> MethodRuns:
+        """The runs of a setting on a data set, with its choice in the row."""
         runs = setting.shown[data]
-        (found,) = frame.methods(runs)
+        (method,) = frame.methods(runs)
         row = {key: self._rows[runs[0].path][key] for key in ("data", "settings")}
-        return MethodRuns({**found.row, **row, **said}, runs)
+        return MethodRuns({**method.row, **row, **choice}, runs)
 
-    def nothing(self, settings: Iterable[_Setting], data: str, said: dict[str, Any]) -> MethodRuns:
+    def nothing(
+        self, settings: Iterable[_Setting], data: str, choice: dict[str, Any]
+    ) -> MethodRuns:
         """The row of a method of which no setting could be chosen."""
         first = next(setting.shown[data][0] for setting in settings if data in setting.shown)
         known = self._rows[first.path]
         row = dict.fromkeys(known) | {"seeds": 0, "status": "no choice", "settings": ""}
         row |= {key: known[key] for key in ("dataset", "data", "backend", "selector")}
-        return MethodRuns({**row, **said}, [])
+        return MethodRuns({**row, **choice}, [])
 
 
 def _labels(names: Sequence[str]) -> dict[str, str]:
@@ -258,19 +260,23 @@ def _choose(
     runs: _Sorted, settings: Mapping[str, _Setting], data: str, others: Sequence[str], words: str
 ) -> MethodRuns:
     """The best setting on the data sets ``others``, with its runs on ``data``."""
-    here = [one for one in settings.values() if data in one.shown]
-    tried = [one for one in here if all(name in one.choosing for name in others)]
-    said: dict[str, Any] = {"tried": len(tried), "equal": 1, "left_out": len(settings) - len(tried)}
+    candidates = [one for one in settings.values() if data in one.shown]
+    tried = [one for one in candidates if all(name in one.choosing for name in others)]
+    choice: dict[str, Any] = {
+        "tried": len(tried),
+        "equal": 1,
+        "left_out": len(settings) - len(tried),
+    }
     if len(tried) == 1:  # nothing was chosen, so no data chose it
-        return runs.method(tried[0], data, {**said, "chosen_on": ""})
+        return runs.method(tried[0], data, {**choice, "chosen_on": ""})
     best, equal = _best(tried, others)
-    said |= {"equal": equal, "chosen_on": words}
-    return runs.method(best, data, said) if best else runs.nothing(here, data, said)
+    choice |= {"equal": equal, "chosen_on": words}
+    return runs.method(best, data, choice) if best else runs.nothing(candidates, data, choice)
 
 
 def _best(settings: Sequence[_Setting], names: Sequence[str]) -> tuple[_Setting | None, int]:
     """The best setting on these data sets, and how many have its very score; None without any
-    number there.
+    number on them.
 
     Of those with the fewest runs that lack an error the one with the least mean over data sets
     of the mean logarithm; over those data sets that all of them have a number on.
@@ -282,17 +288,17 @@ def _best(settings: Sequence[_Setting], names: Sequence[str]) -> tuple[_Setting 
         key = _main_key([run for group in runs for run in group])
         most = max(len(group) for group in runs)
         for k, group in enumerate(runs):
-            found = _logs(group, key)
-            lost[k] += most - len(found)
-            if found:
-                logs[k][name] = sum(found) / len(found)
+            of_runs = _logs(group, key)
+            lost[k] += most - len(of_runs)
+            if of_runs:
+                logs[k][name] = sum(of_runs) / len(of_runs)
     left = [k for k in range(len(settings)) if lost[k] == min(lost) and logs[k]]
     left = left or [k for k in range(len(settings)) if logs[k]]
     common = [name for name in names if all(name in logs[k] for k in left)]
     scores = {}
     for k in left:
-        found = [logs[k][name] for name in common or logs[k]]
-        scores[k] = sum(found) / len(found)
+        of_data = [logs[k][name] for name in common or logs[k]]
+        scores[k] = sum(of_data) / len(of_data)
     if not scores:
         return None, 1
     least = min(scores.values())
@@ -301,13 +307,13 @@ def _best(settings: Sequence[_Setting], names: Sequence[str]) -> tuple[_Setting 
 
 
 def _main_key(runs: Sequence[Run]) -> str | None:
-    """The first of ``tables.ERRORS`` that any of the runs has."""
-    there = (
+    """The first of ``best_settings.ERRORS`` that any of the runs has."""
+    present = (
         key
         for key, _, _ in best_settings.ERRORS
         if any(_error(run, key) is not None for run in runs)
     )
-    return next(there, None)
+    return next(present, None)
 
 
 def _error(run: Run, key: str) -> float | None:
@@ -316,22 +322,22 @@ def _error(run: Run, key: str) -> float | None:
 
 
 def _logs(runs: Sequence[Run], key: str | None) -> list[float]:
-    found = [_error(run, key) for run in runs] if key else []
-    return [math.log(max(error, LEAST)) for error in found if error is not None]
+    errors = [_error(run, key) for run in runs] if key else []
+    return [math.log(max(error, LEAST)) for error in errors if error is not None]
 
 
 def _split(
     runs: Sequence[Run], key: str, values: Sequence[str], words: str
 ) -> tuple[list[Run], list[Run]]:
     """The runs that choose and the others."""
-    found = [_value(run, key) for run in runs]
-    if all(value is None for value in found):
-        raise ConfigError(f"--choose-on {words}: no run here has a {key}")
+    of_runs = [_value(run, key) for run in runs]
+    if all(value is None for value in of_runs):
+        raise ConfigError(f"--choose-on {words}: none of these runs has a {key}")
     for wanted in values:
-        if not any(_same(value, wanted) for value in found):
-            known = ", ".join(dict.fromkeys(str(v) for v in found if v is not None))
-            raise ConfigError(f"--choose-on {words}: no run has {key}={wanted}; here: {known}")
-    chooses = [any(_same(value, wanted) for wanted in values) for value in found]
+        if not any(_same(value, wanted) for value in of_runs):
+            known = ", ".join(dict.fromkeys(str(v) for v in of_runs if v is not None))
+            raise ConfigError(f"--choose-on {words}: no run has {key}={wanted}; known: {known}")
+    chooses = [any(_same(value, wanted) for wanted in values) for value in of_runs]
     choosing = [run for run, yes in zip(runs, chooses, strict=True) if yes]
     shown = [run for run, yes in zip(runs, chooses, strict=True) if not yes]
     if not shown:
@@ -353,16 +359,8 @@ def _value(run: Run, key: str) -> Any:
     return None
 
 
-def _same(found: Any, wanted: str) -> bool:
+def _same(value: Any, wanted: str) -> bool:
     try:
-        return found is not None and float(found) == float(wanted)
+        return value is not None and float(value) == float(wanted)
     except (TypeError, ValueError):
-        return str(found) == wanted
-
-
-def _in_order(chosen: list[MethodRuns]) -> list[MethodRuns]:
-    """Data set by data set, the rows of a backend together."""
-    order: dict[tuple[Any, Any], int] = {}
-    for one in chosen:
-        order.setdefault((one.row["data"], one.row["backend"]), len(order))
-    return sorted(chosen, key=lambda one: order[(one.row["data"], one.row["backend"])])
+        return str(value) == wanted

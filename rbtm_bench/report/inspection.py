@@ -28,7 +28,7 @@ NAMED = 4
 NO_RESULT = tuple(key for key, s in SHARED.items() if s.kind in (Kind.HOW, Kind.FEED))
 """Settings that change no number."""
 
-TOLD_COSTS = ("ms_per_scan", "peak_memory_mb", "reused")
+SHOWN_COSTS = ("ms_per_scan", "peak_memory_mb", "reused")
 
 
 # --- finding a run
@@ -37,7 +37,7 @@ TOLD_COSTS = ("ms_per_scan", "peak_memory_mb", "reused")
 def find_run(path: Path) -> Run:
     """The run in this folder, or the only one below it: "results/compare/none-previous".
 
-    Raises ``DataError`` naming runs that are there where the path is none.
+    Raises ``DataError`` where the path is no run, naming runs of the same folder.
     """
     if (path / "run.json").is_file():
         return stored.read_run(path)
@@ -62,7 +62,7 @@ def find_run(path: Path) -> Run:
 # --- one run
 
 
-def shown(run: Run) -> str:
+def run_text(run: Run) -> str:
     """A screen about a run: how it ended, what was typed, settings, versions, results, files."""
     record, config = run.record, run.config
     lines = [f"{run.path}: {_ended(record)}"]
@@ -94,8 +94,8 @@ def shown(run: Run) -> str:
     if run.done:
         lines += ["results", *screen.key_numbers(frame.row(run))]
     sizes = [(name, run.path / name) for name in experiment.FILES]
-    there = [f"{name} {_size(path)}" for name, path in sizes if path.is_file()]
-    return "\n".join([*lines, *_entry("files", ", ".join(there))])
+    files = [f"{name} {_size(path)}" for name, path in sizes if path.is_file()]
+    return "\n".join([*lines, *_entry("files", ", ".join(files))])
 
 
 def again(run: Run) -> str:
@@ -158,13 +158,13 @@ def _word(value: Any) -> str:
 
 def _settings(node: dict[str, Any], targets: bool = False) -> dict[str, Any]:
     """Settings as one level of keys ("final_pose.travel_m")."""
-    found: dict[str, Any] = {}
+    flat: dict[str, Any] = {}
     for key, value in node.items():
         if isinstance(value, dict):
-            found |= {f"{key}.{k}": v for k, v in _settings(value, targets).items()}
+            flat |= {f"{key}.{k}": v for k, v in _settings(value, targets).items()}
         elif key != "_target_" or targets:
-            found[str(key)] = value
-    return found
+            flat[str(key)] = value
+    return flat
 
 
 # --- two runs
@@ -172,7 +172,7 @@ def _settings(node: dict[str, Any], targets: bool = False) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Differences:
-    """What is not the same in two runs, by section; ``aside`` is told, but counts for nothing."""
+    """What is not the same in two runs, by section; ``aside`` is shown, but counts for nothing."""
 
     sections: dict[str, list[str]]
     aside: list[str]
@@ -200,18 +200,18 @@ def compared(a: Run, b: Run) -> Differences:
             "data": _lines(data[0], data[1]),
             "results": [*_lines(ends[0], ends[1]), *_numbers(a, b, counted), *_poses(a, b)],
         },
-        [*_lines(machines[0], machines[1]), *_numbers(a, b, TOLD_COSTS)],
+        [*_lines(machines[0], machines[1]), *_numbers(a, b, SHOWN_COSTS)],
     )
 
 
-def told(a: Run, b: Run, found: Differences) -> str:
+def differences_text(a: Run, b: Run, differences: Differences) -> str:
     """The differences as text, and in a last line what is the same."""
     lines = [f"- {a.path}", f"+ {b.path}"]
-    for name, section in found.sections.items():
+    for name, section in differences.sections.items():
         lines += [name, *(f"  {line}" for line in section)] if section else []
-    if found.aside:
-        lines += ["not counted", *(f"  {line}" for line in found.aside)]
-    same = [name for name, section in found.sections.items() if not section]
+    if differences.aside:
+        lines += ["not counted", *(f"  {line}" for line in differences.aside)]
+    same = [name for name, section in differences.sections.items() if not section]
     return "\n".join([*lines, f"the same: {', '.join(same) or 'nothing'}"])
 
 
@@ -222,18 +222,18 @@ def _asked(run: Run, other: Run) -> dict[str, Any]:
     values = _settings(config, targets=True)
     if values.get("selector.gaps_from"):
         values["selector.gaps_from"] = Path(values["selector.gaps_from"]).name
-    known = {k: v for k, v in values.items() if not _told_by_choice(k, mine, theirs)}
+    known = {k: v for k, v in values.items() if not _follows_choice(k, mine, theirs)}
     return {**mine, **known}
 
 
-def _told_by_choice(key: str, mine: dict[str, Any], theirs: dict[str, Any]) -> bool:
+def _follows_choice(key: str, mine: dict[str, Any], theirs: dict[str, Any]) -> bool:
     """Whether a class differs only because another member of its group was chosen."""
     group = key.partition(".")[0]
     return key.endswith("_target_") and mine.get(group) != theirs.get(group)
 
 
 def _lines(a: dict[str, Any], b: dict[str, Any]) -> list[str]:
-    """ "selector.window  8 -> 16" for every key that differs; "-" is not there."""
+    """ "selector.window  8 -> 16" for every key that differs; "-" is absent."""
     keys = [key for key in dict.fromkeys([*a, *b]) if a.get(key, _GONE) != b.get(key, _GONE)]
     width = max((len(key) for key in keys), default=0)
     lines = []
@@ -252,7 +252,7 @@ _GONE = object()
 
 
 def _numbers(a: Run, b: Run, keys: Sequence[str]) -> list[str]:
-    """Lines of the metrics that differ, with their ratio; null and not there are the same."""
+    """Lines of the metrics that differ, with their ratio; null and absent are the same."""
     x, y = ({k: run.metrics[k] for k in keys if run.metrics.get(k) is not None} for run in (a, b))
     lines = _lines(x, y)
     for i, line in enumerate(lines):
@@ -263,8 +263,8 @@ def _numbers(a: Run, b: Run, keys: Sequence[str]) -> list[str]:
 
 
 def _poses(a: Run, b: Run) -> list[str]:
-    """Where the trajectories part, and by how much; nothing if they are the same to the bit, or
-    not there."""
+    """Where the trajectories part, and by how much; nothing if either is missing, or if they
+    are the same to the bit."""
     from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
     from rbtm_bench.core.trajectory import Trajectory
 

@@ -1,4 +1,4 @@
-"""What the numbers of several runs allow to be said: intervals, paired tests, clusters.
+"""What the numbers of several runs bear out: intervals, paired tests, clusters.
 
 The unit of an interval is what was drawn independently: a simulated data set (a seed of an
 environment), or a cluster of relations of a log. docs/statistics.md gives the reasons.
@@ -27,11 +27,11 @@ MOST_NUMBERS = 20_000_000
 SEED = 0
 """Every interval draws from a generator of its own with this seed: same numbers, same bits."""
 
-FEWEST = 3
+FEWEST_UNITS = 3
 """Fewer units give no interval at all."""
 
 INDEPENDENT = 6
-"""Independent data sets without which there is no rank and no test. With five, the exact
+"""Independent data sets that a rank or a test takes at least. With five, the exact
 two-sided signed-rank test cannot fall below 2/32 = 0.06, whatever the differences."""
 
 PLACE_S = 20.0
@@ -42,7 +42,7 @@ BLOCK_S = 30.0
 
 @dataclass(frozen=True)
 class Interval:
-    """A statistic of ``n`` units with its bootstrap interval, None where there is none."""
+    """A statistic of ``n`` units with its bootstrap interval, None where it has none."""
 
     value: float
     low: float | None
@@ -50,7 +50,7 @@ class Interval:
     n: int
 
     def excludes(self, value: float) -> bool:
-        """True if there is an interval and ``value`` lies outside."""
+        """True if the interval exists and ``value`` lies outside."""
         return self.low is not None and self.high is not None and not self.low <= value <= self.high
 
 
@@ -66,7 +66,7 @@ def interval(values: ArrayLike, statistic: Statistic = "median") -> Interval:
     function: Callable[..., Any] = np.mean if statistic == "mean" else np.median
     method = "percentile" if statistic == "median" else "BCa"
     value = float(function(data))
-    if len(data) < FEWEST:
+    if len(data) < FEWEST_UNITS:
         return Interval(value, None, None, len(data))
     return Interval(value, *_bootstrap((data,), function, method), len(data))
 
@@ -79,8 +79,8 @@ def cluster_interval(errors: Array, clusters: Labels, strata: ArrayLike) -> Inte
     cluster lies in one stratum. NaN errors are left out. No interval if a stratum has fewer than
     three clusters.
     """
-    there = ~np.isnan(errors)
-    errors, clusters, kinds = errors[there], clusters[there], np.asarray(strata)[there]
+    measured = ~np.isnan(errors)
+    errors, clusters, kinds = errors[measured], clusters[measured], np.asarray(strata)[measured]
     if len(errors) == 0:
         raise ValueError("expected at least one error")
     sums, counts, shares = [], [], []
@@ -92,7 +92,7 @@ def cluster_interval(errors: Array, clusters: Labels, strata: ArrayLike) -> Inte
         shares.append(inside.mean())
     n = sum(len(count) for count in counts)
     value = float(errors.mean())
-    if min(len(count) for count in counts) < FEWEST:
+    if min(len(count) for count in counts) < FEWEST_UNITS:
         return Interval(value, None, None, n)
 
     def mean(*drawn: Array, axis: int = -1) -> Any:
@@ -115,7 +115,7 @@ def _bootstrap(
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of degenerate samples: seen by the NaN
-        found = bootstrap(
+        result = bootstrap(
             samples,
             function,
             n_resamples=RESAMPLES,
@@ -125,11 +125,11 @@ def _bootstrap(
             batch=max(1, MOST_NUMBERS // max(len(sample) for sample in samples)),
             rng=np.random.default_rng(SEED),
         )
-    low, high = (float(end) for end in found.confidence_interval)
+    low, high = (float(end) for end in result.confidence_interval)
     if np.isfinite(low) and np.isfinite(high):
         return low, high
     tail = (1 - LEVEL) / 2
-    low, high = np.nanquantile(found.bootstrap_distribution, [tail, 1 - tail])
+    low, high = np.nanquantile(result.bootstrap_distribution, [tail, 1 - tail])
     return float(low), float(high)
 
 
@@ -153,8 +153,8 @@ def relation_clusters(start: Array, end: Array, local: Mask) -> Labels:
         pairs = cKDTree(far).query_pairs(PLACE_S, p=np.inf, output_type="ndarray")
         shape = (len(far), len(far))
         near = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=shape)
-        found = connected_components(near, directed=False)[1]
-        labels[~local] = _by_time(found, far)
+        components = connected_components(near, directed=False)[1]
+        labels[~local] = _by_time(components, far)
     if local.any():
         middle = ends[local].mean(axis=1)
         block = np.floor((middle - middle.min()) / BLOCK_S).astype(np.intp)

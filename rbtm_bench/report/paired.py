@@ -11,7 +11,7 @@ from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.wording import shown
 from rbtm_bench.report import best_settings, intervals
 from rbtm_bench.report.frame import METHOD, MethodRuns
-from rbtm_bench.report.units import CLUSTERS, Units, grouped, methods
+from rbtm_bench.report.units import CLUSTERS, Units, grouped, methods_to_compare
 from rbtm_bench.report.with_intervals import choice_of, keys_of, references_of
 from rbtm_bench.runs.stored import Run
 
@@ -26,7 +26,7 @@ def against(
     reference: str,
     metrics: Sequence[str] = (),
     pool: bool = False,
-    found: Sequence[MethodRuns] | None = None,
+    methods: Sequence[MethodRuns] | None = None,
 ) -> pd.DataFrame:
     """A row a method and metric: how it differs from the reference on the same data.
 
@@ -34,8 +34,8 @@ def against(
     method ("previous", "selector=keyframe distance=0.3", "backend=none"). What it leaves open is
     the same on both sides. ``p_holm`` is adjusted for all tests of the table; ``holds`` says
     "better" or "worse" (for what is no error, "lower" or "higher") only where it is below 0.05,
-    the interval excludes 0, and no run of the side that would win has failed. ``found``: these
-    methods instead of all (``tables.held_out``).
+    the interval excludes 0, and no run of the side that would win has failed. ``methods``: these
+    instead of all (``held_out.leave_one_out``).
 
     Raises ``ConfigError`` for a reference that is no method of these runs, or several, and for a
     metric of which less is not better without the truth beside it.
@@ -48,21 +48,21 @@ def against(
                 f"--metric {key}: no comparison by it, no motion may beat the truth; --intervals "
                 "shows it beside both"
             )
-    found = found or methods(runs, pool)
-    words = _words(reference, found)
+    methods = methods or methods_to_compare(runs, pool)
+    words = _words(reference, methods)
     open_ = [name for name in ("backend", "selector") if name not in words]
-    if not any(_is(method, words) for method in found):
-        raise ConfigError(f"--against {reference}: no method here is that")
+    if not any(_is(method, words) for method in methods):
+        raise ConfigError(f"--against {reference}: none of these methods is that")
     rows: list[dict[str, Any]] = []
-    for group in grouped(found, ("data", *open_)):
+    for group in grouped(methods, ("data", *open_)):
         base = [method for method in group if _is(method, words)]
         if len(base) > 1:
             _refuse_several(reference, base)
-        there = Units(base[0]) if base else None
+        base_units = Units(base[0]) if base else None
         name = _label(base[0].row, words) if base else None
         keys = metrics or keys_of(group, beside=False)
         rivals = [Units(method) for method in group if method not in base]
-        rows += [_row(here, there, key, name) for here in rivals for key in keys]
+        rows += [_row(rival, base_units, key, name) for rival in rivals for key in keys]
     if all(row["difference"] is None for row in rows):
         raise ConfigError(f"--against {reference}: no other method has a number on the same data")
     for row, p in zip(rows, intervals.holm([row["p"] for row in rows]), strict=True):
@@ -76,10 +76,10 @@ def against(
     return pd.DataFrame(rows)[columns].astype(kinds)
 
 
-def _words(reference: str, found: Sequence[MethodRuns]) -> dict[str, str]:
+def _words(reference: str, methods: Sequence[MethodRuns]) -> dict[str, str]:
     """The reference as key -> value; a bare word is a selector or else a backend."""
     names = {
-        key: list(dict.fromkeys(str(m.row[key]) for m in found if m.row[key]))
+        key: list(dict.fromkeys(str(m.row[key]) for m in methods if m.row[key]))
         for key in ("selector", "backend")
     }
     words: dict[str, str] = {}
@@ -90,7 +90,7 @@ def _words(reference: str, found: Sequence[MethodRuns]) -> dict[str, str]:
             key = "selector" if value not in names["backend"] else "backend"
         key = key.removeprefix("selector.")
         if value not in names.get(key, [value]):
-            known = f"{key}s here: {', '.join(names[key])}"
+            known = f"known {key}s: {', '.join(names[key])}"
             raise ConfigError(f"--against {reference}: no {key} {value} in these runs; {known}")
         words[key] = value
     if "selector" not in words and "backend" not in words:
@@ -121,10 +121,10 @@ def _same(value: Any, word: str) -> bool:
 
 def _refuse_several(reference: str, base: Sequence[MethodRuns]) -> None:
     labels = [_label(method.row, ("backend", "selector")) for method in base]
-    more = len(labels) - best_settings.TOLD
-    told = "; ".join(labels[: best_settings.TOLD]) + (f"; {more} more" if more > 0 else "")
+    more = len(labels) - best_settings.MOST_LISTED
+    listed = "; ".join(labels[: best_settings.MOST_LISTED]) + (f"; {more} more" if more > 0 else "")
     where = f"on {base[0].row['data']}"
-    raise ConfigError(f"--against {reference}: several methods {where}, name one: {told}")
+    raise ConfigError(f"--against {reference}: several methods {where}, name one: {listed}")
 
 
 def _label(row: dict[str, Any], named: Collection[str]) -> str:
@@ -138,28 +138,28 @@ def _label(row: dict[str, Any], named: Collection[str]) -> str:
     return " ".join(parts)
 
 
-def _row(here: Units, there: Units | None, key: str, reference: str | None) -> dict[str, Any]:
-    """The method beside the reference, if there is one, without what depends on other rows."""
-    row: dict[str, Any] = {name: here.row[name] for name in (*METHOD, "status")}
-    status = there.row["status"] if there else None
-    row |= choice_of(here.row)
+def _row(method: Units, base: Units | None, key: str, reference: str | None) -> dict[str, Any]:
+    """The method beside the reference, if the data have one, without what depends on other rows."""
+    row: dict[str, Any] = {name: method.row[name] for name in (*METHOD, "status")}
+    status = base.row["status"] if base else None
+    row |= choice_of(method.row)
     row |= {"reference": reference, "reference_status": status, "metric": key}
-    found = here.minus(there, key) if there else None
+    difference = method.minus(base, key) if base else None
     row |= {
-        "error": found.error if found else None,
-        "reference_error": found.reference if found else None,
-        "difference": found.interval.value if found else None,
-        "difference_low": found.interval.low if found else None,
-        "difference_high": found.interval.high if found else None,
-        "difference_n": found.interval.n if found else 0,
-        "unit": found.unit if found else None,
-        "p": found.p if found else None,
+        "error": difference.error if difference else None,
+        "reference_error": difference.reference if difference else None,
+        "difference": difference.interval.value if difference else None,
+        "difference_low": difference.interval.low if difference else None,
+        "difference_high": difference.interval.high if difference else None,
+        "difference_n": difference.interval.n if difference else 0,
+        "unit": difference.unit if difference else None,
+        "p": difference.p if difference else None,
     }
     return row
 
 
 def _holds(row: dict[str, Any]) -> str:
-    """Which way the difference goes, if that can be said at all."""
+    """Which way the difference goes, if any."""
     low, high, p = row["difference_low"], row["difference_high"], row["p_holm"]
     if p is None or low is None or p >= SIGNIFICANT or low <= 0 <= high:
         return ""
@@ -171,8 +171,8 @@ def _holds(row: dict[str, Any]) -> str:
     return "lower" if less else "higher"
 
 
-def notes(table: pd.DataFrame) -> list[str]:
-    """What must be said beside a table of differences."""
+def difference_notes(table: pd.DataFrame) -> list[str]:
+    """The notes beside a table of differences."""
     lines = [
         "difference: method - reference, paired [bootstrap 95% interval] (units): median over "
         "data sets, or mean over the place-time clusters of one log's relations"

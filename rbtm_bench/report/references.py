@@ -1,8 +1,8 @@
 """Rows of a table that are no methods: the same numbers of the truth, and of no motion at all.
 
 Some numbers, those of the quality of a map, look good for wrong reasons too. A run stores them
-for other trajectories as well (``metrics.base.REFERENCES``), and no table shows the one without
-the other: whoever picks columns asks ``accompanied``, and ``tables.render`` makes the rows.
+for other trajectories as well (``core.columns.REFERENCES``), and no table shows the one without
+the other: whoever picks columns asks ``accompanied``, and ``render.render`` makes the rows.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 STATUS = "reference"
-NAMED = ("run", "backend")
+NAMING = ("run", "backend")
 """The columns that name such a row, else the selector, else a column of its own in front."""
 
 
@@ -50,8 +50,8 @@ def with_references(table: pd.DataFrame) -> pd.DataFrame:
     columns = [c for c in table if not any(c == key + end for key in keys for end in REFERENCES)]
     data = table["data"].astype(object) if "data" in table else pd.Series("", index=table.index)
     words = table["settings"].map(_of_metrics) if "settings" in table else data.map(lambda _: "")
-    names = [name for name in (*NAMED, "selector") if name in table][: len(NAMED)]
-    label = [name for name in names if name in NAMED] or names or ["row"]
+    names = [name for name in (*NAMING, "selector") if name in table][: len(NAMING)]
+    label = [name for name in names if name in NAMING] or names or ["row"]
     rows: list[dict[str, Any]] = []
     for (_, word), group in table.groupby([data, words], sort=False, dropna=False):
         for end, name in REFERENCES.items():
@@ -59,8 +59,8 @@ def with_references(table: pd.DataFrame) -> pd.DataFrame:
             if all(number is None for number in numbers.values()):
                 continue
             of_data = {c: group[c].iloc[0] for c in ("dataset", "data") if c in group}
-            said = {"status": STATUS, "settings": word} | dict.fromkeys(label, f"({name})")
-            rows.append(numbers | of_data | said)
+            naming = {"status": STATUS, "settings": word} | dict.fromkeys(label, f"({name})")
+            rows.append(numbers | of_data | naming)
     methods = table[columns].astype(object).to_dict(orient="records")
     if label == ["row"]:
         columns = ["row", *columns]

@@ -37,7 +37,7 @@ def render(table: pd.DataFrame, fmt: str) -> str:
         )
     shown = table[[c for c in table if not all(is_empty(v) for v in table[c])]]
     words = shown.map(word_of)
-    numeric = {c for c in shown if all(is_number(v) or is_empty(v) for v in shown[c])}
+    numeric = {c for c in shown if all(is_numeric_cell(v) or is_empty(v) for v in shown[c])}
     if fmt == "html":
         return words.to_html(index=False, border=0, na_rep="", justify="left")
     if fmt == "latex":
@@ -61,7 +61,7 @@ def render(table: pd.DataFrame, fmt: str) -> str:
 
 
 def existing_columns(table: pd.DataFrame, names: str) -> list[str]:
-    """The columns of a comma list. Raises ``ConfigError`` for one that is not there."""
+    """The columns of a comma list. Raises ``ConfigError`` for one that the table has not."""
     wanted = [name.strip() for name in names.split(",") if name.strip()]
     for name in wanted:
         if name not in table:
@@ -69,7 +69,7 @@ def existing_columns(table: pd.DataFrame, names: str) -> list[str]:
     return accompanied(table, wanted)
 
 
-def screen(
+def screen_table(
     table: pd.DataFrame, columns: Sequence[str] = SHORT, keep: Sequence[str] = ALWAYS
 ) -> tuple[pd.DataFrame, str]:
     """The columns that fit a screen, and in words those that are the same in every row (unless
@@ -94,7 +94,8 @@ def _stacked(column: str) -> str:
     return (short or column).replace("_", "\n")
 
 
-def is_number(value: Any) -> bool:
+def is_numeric_cell(value: Any) -> bool:
+    """True for a number other than NaN."""
     return isinstance(value, int | float) and not isinstance(value, bool) and value == value
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ LONG = 30
 NAMED = 2
 """Runs or folders that a line names at most."""
 REASONS = 5
-"""Reasons of failure that are told at most."""
+"""Reasons of failure that are listed at most."""
 
 LINES = tuple(sorted((c for c in COLUMNS if c.line), key=lambda c: c.plain_unit in ("", "scans")))
 """The numbers in the summary of a run: errors and time, then shares and counts."""
@@ -50,21 +51,36 @@ def key_numbers(row: dict[str, Any]) -> list[str]:
     return lines
 
 
-def of_runs(out: Path, folders: Sequence[Path]) -> str:
-    """The tables of a comparison or sweep, the verdict in words, the share of registrations
-    reused, failures by reason, and where the files are.
+@dataclass(frozen=True, eq=False)
+class RunTables:
+    """The runs of a comparison or sweep, a table of a row a run, and one of a row a method."""
 
-    Writes ``table.csv`` (a row a run) and ``summary.csv`` (a row a method).
-    """
+    runs: list[Run]
+    every: pd.DataFrame
+    methods: pd.DataFrame
+
+
+def tables_of(folders: Sequence[Path]) -> RunTables:
+    """The tables of the runs in these folders."""
     runs = stored.find_runs(folders)
-    every, methods = frame.frame(runs), frame.over_seeds(runs)
-    write_text(out / "table.csv", render.render(every, "csv") + "\n")
-    write_text(out / "summary.csv", render.render(methods, "csv") + "\n")
+    return RunTables(runs, frame.frame(runs), frame.over_seeds(runs))
+
+
+def write_tables(out: Path, tables: RunTables) -> None:
+    """Write ``table.csv`` (a row a run) and ``summary.csv`` (a row a method)."""
+    write_text(out / "table.csv", render.render(tables.every, "csv") + "\n")
+    write_text(out / "summary.csv", render.render(tables.methods, "csv") + "\n")
+
+
+def of_runs(out: Path, tables: RunTables) -> str:
+    """The tables of a comparison or sweep, the verdict in words, the share of registrations
+    reused, failures by reason, and where the files of ``write_tables`` are."""
+    runs, methods = tables.runs, tables.methods
     best = best_settings.best(methods)
-    told = bool(best_settings.chances(best))
-    lines = [*overview(methods, best), *verdict.verdict(methods, say_tries=not told)]
+    has_tries = bool(best_settings.chances(best))
+    lines = [*overview(methods, best), *verdict.verdict(methods, say_tries=not has_tries)]
     lines += [*reuse(runs), *reasons(runs)]
-    lines += [f"warning: {line}" for line in differences(runs)]
+    lines += [f"warning: {line}" for line in comparison_warnings(runs)]
     lines.append(f"a row a run: {out / 'table.csv'}; a row a method: {out / 'summary.csv'}")
     lines.append(f"figures: rbtm-bench plot {out}")
     return "\n".join(lines)
@@ -82,7 +98,7 @@ def overview(methods: pd.DataFrame, best: pd.DataFrame) -> list[str]:
 
 
 def of_best(best: pd.DataFrame) -> list[str]:
-    """A table of best settings and what must be said with it."""
+    """A table of best settings and its notes."""
     columns, main = best_settings.best_columns(best)
     names = [f"{name} ({unit})" for key, unit, name in best_settings.ERRORS if key in main]
     order = f", within a backend by {' or '.join(names)}" if names else ""
@@ -92,8 +108,8 @@ def of_best(best: pd.DataFrame) -> list[str]:
 
 def _with_same(table: pd.DataFrame, columns: Sequence[str], keep: Sequence[str]) -> list[str]:
     """A table as text, what is the same in every row, and what its numbers are."""
-    screen, same = render.screen(table, columns, keep)
-    lines = [render.render(screen, "text")]
+    shown, same = render.screen_table(table, columns, keep)
+    lines = [render.render(shown, "text")]
     lines += [f"the same in every row: {same}"] if same else []
     seeds = int(table["seeds"].max()) if table["seeds"].notna().any() else 1
     if seeds > 1:
@@ -132,11 +148,11 @@ def reasons(runs: Sequence[Run]) -> list[str]:
     groups = sorted(by_reason.items(), key=lambda group: -len(group[1]))
     statuses = {run.record.get("status") for run in runs} - {"done"}
     word = "failed" if statuses == {"failed"} else "not done"
-    lines = [f"{word}: {sum(len(found) for _, found in groups)} of {_runs(len(runs))}"]
-    for reason, found in groups[:REASONS]:
-        lines.append(f"  {len(found)} x {reason} ({_few([r.path.name for r in found])})")
+    lines = [f"{word}: {sum(len(group) for _, group in groups)} of {_runs(len(runs))}"]
+    for reason, group in groups[:REASONS]:
+        lines.append(f"  {len(group)} x {reason} ({_few([r.path.name for r in group])})")
     if len(groups) > REASONS:
-        left = sum(len(found) for _, found in groups[REASONS:])
+        left = sum(len(group) for _, group in groups[REASONS:])
         lines.append(f"  {left} x {len(groups) - REASONS} other reasons: see table.csv")
     return lines
 
@@ -148,7 +164,7 @@ def _reason(run: Run) -> str:
     return "started, but never ended" if status == "started" else f"status {status}"
 
 
-def differences(runs: Sequence[Run]) -> list[str]:
+def comparison_warnings(runs: Sequence[Run]) -> list[str]:
     """A line for everything that makes rows of one table hard to compare: data that are not the
     same under the same name and seed, other versions, and repeated runs."""
     return [*_other_data(runs), *_other_versions(runs), *_repeated(runs)]
@@ -165,11 +181,13 @@ def _other_data(runs: Sequence[Run]) -> list[str]:
             groups.setdefault((name, seed), []).append(run)
     lines: dict[str, list[str]] = {}
     for (name, seed), group in groups.items():
-        found = _by_value(group, lambda run: str(run.record["dataset_fingerprint"])[:12])
-        if len(found) > 1:
+        by_fingerprint = _by_value(group, lambda run: str(run.record["dataset_fingerprint"])[:12])
+        if len(by_fingerprint) > 1:
             where = name if seed is None else f"{name}, seed {seed}"
-            lines.setdefault(name, []).append(f"{where}: the data differ: {_values(found)}")
-    return [_first(told, "seed") for told in lines.values()]
+            lines.setdefault(name, []).append(
+                f"{where}: the data differ: {_values(by_fingerprint)}"
+            )
+    return [_first(of_name, "seed") for of_name in lines.values()]
 
 
 def _other_versions(runs: Sequence[Run]) -> list[str]:
@@ -178,13 +196,13 @@ def _other_versions(runs: Sequence[Run]) -> list[str]:
     for name in [*names, "git"]:
 
         def version(run: Run, name: str = name) -> str:
-            found = run.record if name == "git" else run.record.get("versions") or {}
-            return str(found.get(name) or "unknown")
+            versions = run.record if name == "git" else run.record.get("versions") or {}
+            return str(versions.get(name) or "unknown")
 
-        found = _by_value(runs, version)
-        if len(found) > 1:
+        by_version = _by_value(runs, version)
+        if len(by_version) > 1:
             what = "the checkout (git)" if name == "git" else name
-            lines.append(f"{what} differs: {_values(found)}")
+            lines.append(f"{what} differs: {_values(by_version)}")
     return lines
 
 
@@ -198,16 +216,16 @@ def _repeated(runs: Sequence[Run]) -> list[str]:
 
 
 def _by_value(runs: Sequence[Run], value: Callable[[Run], str]) -> dict[str, list[Run]]:
-    found: dict[str, list[Run]] = {}
+    groups: dict[str, list[Run]] = {}
     for run in runs:
-        found.setdefault(value(run), []).append(run)
-    return found
+        groups.setdefault(value(run), []).append(run)
+    return groups
 
 
-def _values(found: dict[str, list[Run]]) -> str:
+def _values(by_value: dict[str, list[Run]]) -> str:
     """ "0.20.0 in 34 runs (results/a), 0.19.0 in 1 run (results/b/rbtm)"."""
     parts = []
-    for value, runs in found.items():
+    for value, runs in by_value.items():
         few = len(runs) <= NAMED
         places = dict.fromkeys(str(run.path if few else run.path.parent) for run in runs)
         parts.append(f"{value} in {_runs(len(runs))} ({_few(list(places))})")

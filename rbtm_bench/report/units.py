@@ -1,6 +1,6 @@
 """What the runs of a method are resampled and paired by.
 
-A unit is an independent data set, told by its fingerprint: a seed of a simulated environment is
+A unit is an independent data set, known by its fingerprint: a seed of a simulated environment is
 one, a log is one however often it was run. Within one log the units are the place-time clusters
 of its relations (rbtm_bench.report.intervals).
 """
@@ -53,20 +53,20 @@ class Units:
 
     def by_data_set(self, key: str) -> dict[str, float]:
         """The metric by data set; of several runs on the same data their median."""
-        found: dict[str, list[float]] = {}
+        values: dict[str, list[float]] = {}
         for run in self._done:
             if is_number(run.metrics.get(key)):
-                found.setdefault(data_set(run), []).append(float(run.metrics[key]))
-        return {name: float(np.median(numbers)) for name, numbers in found.items()}
+                values.setdefault(data_set(run), []).append(float(run.metrics[key]))
+        return {name: float(np.median(numbers)) for name, numbers in values.items()}
 
     @cached_property
     def signatures(self) -> dict[str, str]:
         """All results by data set, as text: equal to the bit, they are of equal data."""
-        found: dict[str, list[Any]] = {}
+        results: dict[str, list[Any]] = {}
         for run in self._done:
             kept = {k: v for k, v in run.metrics.items() if not is_cost(k)}
-            found.setdefault(data_set(run), []).append(kept)
-        return {name: json.dumps(every, sort_keys=True) for name, every in found.items()}
+            results.setdefault(data_set(run), []).append(kept)
+        return {name: json.dumps(every, sort_keys=True) for name, every in results.items()}
 
     @cached_property
     def relations(self) -> RelationErrors | None:
@@ -75,12 +75,12 @@ class Units:
         files = [run.path / FILE for run in self._done]
         if len({data_set(run) for run in self._done}) != 1 or not all(f.is_file() for f in files):
             return None
-        found = [RelationErrors.read(file) for file in files]
-        if any(not np.array_equal(one.start, found[0].start) for one in found):
+        of_runs = [RelationErrors.read(file) for file in files]
+        if any(not np.array_equal(errors.start, of_runs[0].start) for errors in of_runs):
             return None
-        translation = np.mean([one.translation_m for one in found], axis=0)
-        rotation = np.mean([one.rotation_deg for one in found], axis=0)
-        return replace(found[0], translation_m=translation, rotation_deg=rotation)
+        translation = np.mean([errors.translation_m for errors in of_runs], axis=0)
+        rotation = np.mean([errors.rotation_deg for errors in of_runs], axis=0)
+        return replace(of_runs[0], translation_m=translation, rotation_deg=rotation)
 
     @cached_property
     def _clusters(self) -> Labels:
@@ -93,18 +93,18 @@ class Units:
         match, errors = _OF_RELATIONS.match(key), self.relations
         if match is None or errors is None:
             return None
-        found = errors.rotation_deg if match[2].startswith("rotation") else errors.translation_m
+        values = errors.rotation_deg if match[2].startswith("rotation") else errors.translation_m
         if match[1]:
-            found = np.where(errors.local == (match[1] == "local_"), found, np.nan)
-        return None if np.isnan(found).all() else found
+            values = np.where(errors.local == (match[1] == "local_"), values, np.nan)
+        return None if np.isnan(values).all() else values
 
     def estimate(self, key: str, statistic: Statistic) -> Interval | None:
         """The metric over all units; None if no run has it."""
         errors, relations = self._of_relations(key), self.relations
         if errors is not None and relations is not None:
             return intervals.cluster_interval(errors, self._clusters, relations.local)
-        found = self.by_data_set(key)
-        numbers = [found[name] for name in shared([self], key)]
+        values = self.by_data_set(key)
+        numbers = [values[name] for name in shared([self], key)]
         return intervals.interval(numbers, statistic) if numbers else None
 
     def minus(self, other: Units, key: str) -> Difference | None:
@@ -114,9 +114,9 @@ class Units:
         if not common:
             return None
         if set(common) == set(ours) == set(theirs) and len(common) == 1:
-            found = self._minus_by_cluster(other, key)
-            if found:
-                return found
+            difference = self._minus_by_cluster(other, key)
+            if difference:
+                return difference
         a, b = (np.array([side[name] for name in common]) for side in (ours, theirs))
         off = _without_rounding(a, b)
         over, p = intervals.interval(off), intervals.signed_rank(off)
@@ -146,8 +146,8 @@ def _without_rounding(a: Array, b: Array) -> Array:
 def shared(methods: Sequence[Units], key: str) -> list[str]:
     """The independent data sets for which all methods have the metric: of those whose results
     are the same to the bit (seeds without any noise) the first."""
-    found = [method.by_data_set(key) for method in methods]
-    common = [name for name in found[0] if all(name in one for one in found)]
+    values = [method.by_data_set(key) for method in methods]
+    common = [name for name in values[0] if all(name in one for one in values)]
     first: dict[tuple[str, ...], str] = {}
     for name in common:
         first.setdefault(tuple(method.signatures[name] for method in methods), name)
@@ -165,16 +165,16 @@ def data_set(run: Run) -> str:
     return str(fingerprint or node_key(run.identity.dataset, run.identity.seed))
 
 
-def methods(runs: Sequence[Run], pool: bool) -> list[MethodRuns]:
+def methods_to_compare(runs: Sequence[Run], pool: bool) -> list[MethodRuns]:
     """The methods; with ``pool`` those that differ only in their data are one."""
-    found = frame.methods(runs)
-    names = {method.row["data"] for method in found}
+    methods = frame.methods(runs)
+    names = {method.row["data"] for method in methods}
     if not pool or len(names) < 2:
-        return found
-    kinds = dict.fromkeys(str(method.row["dataset"]) for method in found)
+        return methods
+    kinds = dict.fromkeys(str(method.row["dataset"]) for method in methods)
     name = f"{', '.join(kinds)} ({len(names)} pooled)"
     together: dict[str, list[MethodRuns]] = {}
-    for method in found:
+    for method in methods:
         together.setdefault(method.runs[0].way, []).append(method)
     return [_pooled(group, name) for group in together.values()]
 
@@ -189,11 +189,11 @@ def _pooled(group: list[MethodRuns], name: str) -> MethodRuns:
     return MethodRuns({**row, "data": name, "seeds": len(runs), "status": status}, runs)
 
 
-def grouped(found: Sequence[MethodRuns], columns: Sequence[str]) -> list[list[MethodRuns]]:
+def grouped(methods: Sequence[MethodRuns], columns: Sequence[str]) -> list[list[MethodRuns]]:
     """The methods that agree in these columns; in "selector" with all its settings, unless those
-    were chosen on other data (``tables.held_out``)."""
+    were chosen on other data (``held_out``)."""
     together: dict[tuple[Any, ...], list[MethodRuns]] = {}
-    for method in found:
+    for method in methods:
         key = [method.row[column] for column in columns]
         if "selector" in columns and "chosen_on" not in method.row:
             key.append(method.runs[0].identity.part("selector"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.report.best_settings import main_error, winner
-from rbtm_bench.report.render import is_number, three_digits
+from rbtm_bench.report.render import is_numeric_cell, three_digits
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -23,11 +23,11 @@ def verdict(table: pd.DataFrame, say_tries: bool = True) -> list[str]:
     """
     lines: list[str] = []
     for (data, backend), methods in table.groupby(["data", "backend"], sort=False):
-        here = table[table.data == data]
-        found = main_error(here)
-        if found is None:
+        on_data = table[table.data == data]
+        error = main_error(on_data)
+        if error is None:
             continue
-        key, unit, name = found
+        key, unit, name = error
         rows = methods.dropna(subset=[key]).astype({key: float})
         ours, controls = rows[rows.selector == "rbtm"], rows[~rows.selector.isin(NO_CONTROL)]
         best, rival = winner(ours, key), winner(controls, key)
@@ -61,7 +61,7 @@ def _without_registration(table: pd.DataFrame, data: str, key: str, unit: str, o
 
 
 def _label(row: pd.Series[Any]) -> str:
-    details = [f"{k} {row[k]:g}" for k in ("window", "threshold") if is_number(row.get(k))]
+    details = [f"{k} {row[k]:g}" for k in ("window", "threshold") if is_numeric_cell(row.get(k))]
     extra = row.get("settings")
     details += [str(extra)] if extra else []
     return f"{row['selector']} ({', '.join(details)})" if details else str(row["selector"])

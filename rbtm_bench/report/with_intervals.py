@@ -9,11 +9,10 @@ import numpy as np
 
 from rbtm_bench.core.columns import REFERENCES
 from rbtm_bench.core.errors import ConfigError
-from rbtm_bench.report import best_settings, render
-from rbtm_bench.report import intervals as statistics
+from rbtm_bench.report import best_settings, intervals, render
 from rbtm_bench.report.frame import METHOD, MethodRuns
 from rbtm_bench.report.intervals import Statistic
-from rbtm_bench.report.units import Units, grouped, is_number, methods, shared
+from rbtm_bench.report.units import Units, grouped, is_number, methods_to_compare, shared
 from rbtm_bench.runs.stored import Run
 
 if TYPE_CHECKING:
@@ -29,30 +28,30 @@ BESIDE = {
 """What stands beside the main error unless metrics are named."""
 
 
-def intervals(
+def interval_table(
     runs: Sequence[Run],
     metrics: Sequence[str] = (),
     statistic: Statistic = "median",
     pool: bool = False,
-    found: Sequence[MethodRuns] | None = None,
+    methods: Sequence[MethodRuns] | None = None,
 ) -> pd.DataFrame:
     """A row a method: for each metric its value, KEY_low, KEY_high and KEY_n, the units.
 
     The value is the median (or mean) over data sets; of the relations of one log the mean, with
     an interval over clusters. ``rank`` is the mean rank by the first metric among the methods
-    of a data set and backend, over the data sets that all of them have; there is none by a
-    metric whose meaning hangs on its references, which become columns for ``tables.render``.
-    ``found``: these methods instead of all (``tables.held_out``).
+    of a data set and backend, over the data sets that all of them have; none by a metric whose
+    meaning hangs on its references, which become columns for ``render.render``.
+    ``methods``: these instead of all (``held_out.leave_one_out``).
     """
     import pandas as pd
 
     rows: list[dict[str, Any]] = []
-    for group in grouped(found or methods(runs, pool), ("data", "backend")):
+    for group in grouped(methods or methods_to_compare(runs, pool), ("data", "backend")):
         keys = metrics or keys_of(group, beside=True)
-        here = [Units(method) for method in group]
+        of_group = [Units(method) for method in group]
         ranked = keys[:1] if keys and not references_of(runs, keys[0]) else []
-        ranks = _ranks(here, ranked[0]) if ranked else [None] * len(here)
-        for units, rank in zip(here, ranks, strict=True):
+        ranks = _ranks(of_group, ranked[0]) if ranked else [None] * len(of_group)
+        for units, rank in zip(of_group, ranks, strict=True):
             row = {key: units.row[key] for key in (*METHOD, "seeds", "status")}
             row |= choice_of(units.row)
             for key in keys:
@@ -78,7 +77,7 @@ def _ranks(methods: Sequence[Units], key: str) -> list[float | None]:
     """Mean ranks over the data sets that all methods have."""
     values = [units.by_data_set(key) for units in methods]
     common = shared(methods, key)
-    ranks = statistics.mean_ranks(np.array([[v[name] for v in values] for name in common]))
+    ranks = intervals.mean_ranks(np.array([[v[name] for v in values] for name in common]))
     if ranks is None or len(methods) < 2:
         return [None] * len(methods)
     return [float(rank) for rank in ranks]
@@ -108,20 +107,20 @@ def named_metrics(runs: Sequence[Run], names: str | None) -> list[str]:
     known = dict.fromkeys(k for run in runs for k, v in run.metrics.items() if is_number(v))
     for name in wanted:
         if name not in known:
-            words = f"--metric {name}: no run here has a number of that name."
+            words = f"--metric {name}: none of these runs has a number of that name."
             raise ConfigError(f"{words} Known: {', '.join(known) or 'none'}")
     return wanted
 
 
 def folded(table: pd.DataFrame) -> pd.DataFrame:
     """The table for readers: "0.55 [0.3, 0.9] (62)" in one column instead of four."""
-    found = table.copy()
+    readable = table.copy()
     for key in [c for c in table if f"{c}_low" in table]:
         parts = [f"{key}_low", f"{key}_high", f"{key}_n"]
         cells = zip(table[key], *(table[part] for part in parts), strict=True)
-        found[key] = [_cell(*cell) for cell in cells]
-        found = found.drop(columns=parts)
-    return found
+        readable[key] = [_cell(*cell) for cell in cells]
+        readable = readable.drop(columns=parts)
+    return readable
 
 
 def _cell(value: float | None, low: float | None, high: float | None, n: int) -> str:
@@ -133,20 +132,20 @@ def _cell(value: float | None, low: float | None, high: float | None, n: int) ->
     return f"{words} ({n})"
 
 
-def notes(table: pd.DataFrame, statistic: Statistic) -> list[str]:
-    """What must be said beside a table of intervals."""
+def interval_notes(table: pd.DataFrame, statistic: Statistic) -> list[str]:
+    """The notes beside a table of intervals."""
     lines = [
         f"{statistic} over data sets (seeds) [bootstrap 95% interval] (units); relations of one "
         "log: mean [over place-time clusters] (clusters)"
     ]
     counts = {int(n) for c in table if str(c).endswith("_n") for n in table[c]} - {0}
-    few = sorted(n for n in counts if statistics.FEWEST <= n < statistics.INDEPENDENT)
+    few = sorted(n for n in counts if intervals.FEWEST_UNITS <= n < intervals.INDEPENDENT)
     if few:
         shares = ", ".join(f"{100 * (1 - 0.5 ** (n - 1)):.0f}% with {n}" for n in few)
         lines.append(f"of few units an interval covers less than it says: at most {shares}")
-    if min(counts, default=statistics.FEWEST) < statistics.FEWEST:
+    if min(counts, default=intervals.FEWEST_UNITS) < intervals.FEWEST_UNITS:
         one = "a log is one, and so are seeds that change nothing"
-        lines.append(f"no interval of fewer than {statistics.FEWEST} units ({one})")
+        lines.append(f"no interval of fewer than {intervals.FEWEST_UNITS} units ({one})")
     if table["rank"].notna().any():
         lines.append("rank: mean over the data sets that all methods of a backend have; 1 is least")
     return lines

@@ -55,7 +55,9 @@ def demo(out: Path) -> int:
         drive.run_points(points, out, drive.default_jobs(), done)
     folders = [out / point.name for point in points]
     figures = plots.draw(stored.find_runs(folders), out / "figures")
-    print(screen.of_runs(out, folders))
+    tables = screen.tables_of(folders)
+    screen.write_tables(out, tables)
+    print(screen.of_runs(out, tables))
     print("settings chosen on seeds 100-104, four tries for each strategy")
     for figure in figures:
         print(figure)

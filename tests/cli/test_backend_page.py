@@ -14,7 +14,7 @@ def test_the_page_is_up_to_date(capsys: pytest.CaptureFixture[str]) -> None:
     assert backend_page.main(["--check"]) == 0, capsys.readouterr().out
 
 
-def test_a_stale_page_is_found(
+def test_a_stale_page_fails_the_check(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(backend_page, "PAGE", tmp_path / "backends.md")
@@ -27,7 +27,7 @@ def test_a_stale_page_is_found(
     assert backend_page.main(["--nonsense"]) == 2
 
 
-def test_every_backend_and_every_setting_is_told() -> None:
+def test_every_backend_and_every_setting_is_on_the_page() -> None:
     text = backend_page.page()
     for name, node in settings.member_nodes("backend").items():
         assert isinstance(node, dict)
@@ -53,9 +53,9 @@ def test_comments_of_a_config(tmp_path: Path) -> None:
         "# A method,\n# over two lines.\n_target_: a.B\nsize: 0.5   # m, of a cell\n"
         "    # that goes on\nwords: none\nvoxel_size: ${registration.voxel_size}\n"
     )
-    about, found = backend_page.comments(path)
+    about, described = backend_page.comments(path)
     assert about == "A method, over two lines."
-    assert found == {
+    assert described == {
         "size": ("0.5", "m, of a cell that goes on"),
         "words": ("none", ""),
         "voxel_size": ("${registration.voxel_size}", "0: every point"),

@@ -42,7 +42,7 @@ def test_the_band_of_a_window(tmp_path: Path, capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--memory", "50"], "use --band selector.window=W"),
         (["--memory", "0"], "--memory 0: expected megabytes above 0"),
@@ -56,10 +56,10 @@ def test_the_band_of_a_window(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ],
 )
 def test_mistakes(
-    words: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["similarity", *words, f"out={tmp_path / 'x'}"]) == 2
-    assert said in capsys.readouterr().err
+    assert message in capsys.readouterr().err
     assert not (tmp_path / "x").exists()
 
 
@@ -70,17 +70,17 @@ def test_help_teaches(capsys: pytest.CaptureFixture[str]) -> None:
         assert word in shown
 
 
-def drawn(found: Scores) -> tuple[str, list[str], tuple[int, ...]]:
+def drawn(scores: Scores) -> tuple[str, list[str], tuple[int, ...]]:
     """Title, axis labels and shape of the picture's image."""
     with style.paper():
-        figure = pictures.draw(found, "a log", "mine")
+        figure = pictures.draw(scores, "a log", "mine")
         figure.draw_without_rendering()
     (ax,) = figure.axes[:1]
     title = figure.get_suptitle()
     return title, [ax.get_xlabel(), ax.get_ylabel()], ax.images[0].get_array().shape
 
 
-def test_thousands_of_scans_are_thinned_and_it_is_said() -> None:
+def test_thousands_of_scans_are_thinned_and_the_title_says_so() -> None:
     scores = np.zeros((2500, 2500), np.float32)
     title, names, shape = drawn(Scores(scores, np.arange(2500.0), None, None))
     assert "a log, 2500 scans, similarity mine" in title and "one scan in 3 is drawn" in title

@@ -46,7 +46,9 @@ from rbtm_bench.report import frame, screen
 from rbtm_bench.runs.stored import find_runs
 assert frame.over_seeds(find_runs([out]))["new_mm"].tolist() == [3.5]
 assert frame.FIRST.index("new_mm") < frame.FIRST.index("registrations")
-shown = screen.of_runs(out, [out / "0", out / "1"])
+tables = screen.tables_of([out / "0", out / "1"])
+screen.write_tables(out, tables)
+shown = screen.of_runs(out, tables)
 header = [line.split() for line in shown.splitlines()[:4]]
 assert any("n" in words for words in header), shown
 assert "new_mm" in (out / "table.csv").read_text()

@@ -1,6 +1,6 @@
 """The end of a sweep: best settings, tries, reuse, failures, and warnings about merged runs.
 
-Every number here is worked out by hand from run folders written here.
+Every number is worked out by hand from run folders that the tests write.
 """
 
 from __future__ import annotations
@@ -72,9 +72,9 @@ def sweep(tmp_path: Path) -> Path:
     for backend, more in (("p2p", 0.0), ("gicp", 100.0)):
         for seed in range(3):
             place = f"{backend}-{seed}"
-            for window, found in errors.items():
+            for window, of_seeds in errors.items():
                 make_run(
-                    out / f"{place}-rbtm{window}", "rbtm", more + found[seed],
+                    out / f"{place}-rbtm{window}", "rbtm", more + of_seeds[seed],
                     backend=backend, seed=seed, window=window, threshold=0.7,
                 )  # fmt: skip
             make_run(out / f"{place}-prev", "previous", more + 100, backend=backend, seed=seed)
@@ -94,10 +94,10 @@ def sweep(tmp_path: Path) -> Path:
 
 def test_best_is_by_median_over_seeds_with_its_tries_and_sorted_by_error(sweep: Path) -> None:
     rows = best_of(sweep)
-    found = [
+    shown = [
         (r["backend"], r["selector"], r["window"], r[MM], r["tried"], r["seeds"]) for r in rows
     ]
-    assert found == [
+    assert shown == [
         ("gicp", "rbtm", 8, 120, 2, 3),
         ("gicp", "keyframe", None, 125, 1, 3),
         ("gicp", "previous", None, 200, 1, 3),
@@ -126,7 +126,7 @@ def test_data_sets_have_their_own_main_error(tmp_path: Path) -> None:
     make_run(tmp_path / "a", "rbtm", 9.0, window=4)
     make_run(tmp_path / "b", "rbtm", 8.0, window=8)
     logs = {"key": RELATIONS, "dataset": "carmen", "data": {"path": "a.clf"}}
-    # a final position error does not count where there are relations
+    # a final position error does not count on data with relations
     make_run(tmp_path / "c", "rbtm", 0.5, window=4, metrics={MM: 1.0}, **logs)
     make_run(tmp_path / "d", "rbtm", 0.4, window=8, metrics={MM: 2.0}, **logs)
     corridor, log = best_of(tmp_path)
@@ -156,7 +156,7 @@ def test_a_setting_with_a_failed_run_does_not_beat_a_whole_one(tmp_path: Path) -
     for seed in (0, 1):
         (tmp_path / f"whole{seed}" / "metrics.json").unlink()
         write_json(tmp_path / f"whole{seed}" / "metrics.json", {})
-    (row,) = best_of(tmp_path)  # now it is all there is
+    (row,) = best_of(tmp_path)  # now it stands alone
     assert (row["window"], row[MM], row["status"]) == (8, 1.0, "1 of 2 done")
 
 
@@ -179,7 +179,7 @@ def test_of_equal_settings_the_smallest_window_stands_for_all(tmp_path: Path) ->
     assert any("smallest window" in line for line in best_settings.chances(table))
 
 
-# --- what is said about it
+# --- the notes beside it
 
 
 def test_unequal_tries_are_named_in_words(sweep: Path) -> None:
@@ -204,7 +204,7 @@ def test_tries_that_differ_between_backends_name_them(sweep: Path) -> None:
     ]
 
 
-def test_equal_tries_are_said_to_be_equal(tmp_path: Path) -> None:
+def test_equal_tries_are_noted_as_equal(tmp_path: Path) -> None:
     for value in (4, 8):
         make_run(tmp_path / f"r{value}", "rbtm", float(value), window=value)
         make_run(tmp_path / f"g{value}", "fixed_gap", float(value), gap=value)
@@ -217,12 +217,12 @@ def test_equal_tries_are_said_to_be_equal(tmp_path: Path) -> None:
 
 def test_a_setting_each_gives_one_table_only(tmp_path: Path) -> None:
     folders = [make_run(tmp_path / s, s, 5.0) for s in ("previous", "keyframe")]
-    text = screen.of_runs(tmp_path, folders)
+    text = screen.of_runs(tmp_path, screen.tables_of(folders))
     assert text.count("backend") == 1 and "best" not in text and "tried" not in text
 
 
 def test_a_small_sweep_shows_the_best_and_then_all(sweep: Path) -> None:
-    text = screen.of_runs(sweep, sorted(sweep.iterdir()))
+    text = screen.of_runs(sweep, screen.tables_of(sorted(sweep.iterdir())))
     assert text.startswith("the best setting of every method, within a backend by final position")
     assert text.count("backend   ") == 2 and "not printed" not in text
     assert "medians over the runs of a method that differ only in their seed (3)" in text
@@ -236,7 +236,10 @@ def test_the_table_of_a_big_sweep_is_written_not_printed(tmp_path: Path) -> None
         make_run(tmp_path / f"r{i}", "rbtm", 100.0 - i, window=i + 2) for i in range(screen.LONG)
     ]
     folders.append(make_run(tmp_path / "p", "previous", 50.0))
-    text = screen.of_runs(tmp_path, folders)
+    tables = screen.tables_of(folders)
+    text = screen.of_runs(tmp_path, tables)
+    assert not (tmp_path / "summary.csv").exists()
+    screen.write_tables(tmp_path, tables)
     assert "the table of all 31 methods is not printed, only written" in text
     assert len(text.splitlines()) < 20
     assert len((tmp_path / "summary.csv").read_text().splitlines()) == 32
@@ -287,7 +290,7 @@ def test_alike_runs_give_no_warning(tmp_path: Path) -> None:
     for seed in (0, 1):  # another seed is other data, and may be
         versioned(tmp_path / f"a{seed}", "rbtm", "0.20", f"data{seed}", seed=seed)
         versioned(tmp_path / f"b{seed}", "previous", "0.20", f"data{seed}", seed=seed)
-    assert screen.differences(stored.find_runs([tmp_path])) == []
+    assert screen.comparison_warnings(stored.find_runs([tmp_path])) == []
 
 
 def test_other_versions_name_themselves_and_their_runs(tmp_path: Path) -> None:
@@ -296,7 +299,7 @@ def test_other_versions_name_themselves_and_their_runs(tmp_path: Path) -> None:
     versioned(tmp_path / "two" / "9", "rbtm", "0.19", "data", window=9)
     record = json.loads((tmp_path / "one" / "0" / "run.json").read_text())
     write_json(tmp_path / "one" / "0" / "run.json", {**record, "git": "abc+"})
-    assert screen.differences(stored.find_runs([tmp_path / "one", tmp_path / "two"])) == [
+    assert screen.comparison_warnings(stored.find_runs([tmp_path / "one", tmp_path / "two"])) == [
         f"open3d differs: 0.20 in 3 runs ({tmp_path / 'one'}), "
         f"0.19 in 1 run ({tmp_path / 'two' / '9'})",
         f"the checkout (git) differs: abc+ in 1 run ({tmp_path / 'one' / '0'}), "
@@ -308,7 +311,7 @@ def test_other_data_under_the_same_name_and_seed_are_named(tmp_path: Path) -> No
     for seed in (0, 1, 2):
         versioned(tmp_path / "a" / str(seed), "rbtm", "1", f"old{seed}", seed=seed)
         versioned(tmp_path / "b" / str(seed), "previous", "1", f"new{seed}", seed=seed)
-    (line,) = screen.differences(stored.find_runs([tmp_path]))
+    (line,) = screen.comparison_warnings(stored.find_runs([tmp_path]))
     assert line == (
         f"corridor, seed 0: the data differ: old0 in 1 run ({tmp_path / 'a' / '0'}), "
         f"new0 in 1 run ({tmp_path / 'b' / '0'}); and so for 2 more seeds"
@@ -319,14 +322,14 @@ def test_a_log_is_the_same_data_whatever_the_seed(tmp_path: Path) -> None:
     log = {"dataset": "carmen", "data": {"path": "a.clf"}}
     versioned(tmp_path / "a", "rbtm", "1", "old", seed=0, **log)
     versioned(tmp_path / "b", "rbtm", "1", "new", seed=1, **log)
-    (line,) = screen.differences(stored.find_runs([tmp_path]))
+    (line,) = screen.comparison_warnings(stored.find_runs([tmp_path]))
     assert line.startswith("carmen: the data differ: old in 1 run")
 
 
 def test_repeated_runs_are_counted(tmp_path: Path) -> None:
     for place in "abc":
         versioned(tmp_path / place / "run", "rbtm", "1", "data", window=4)
-    (line,) = screen.differences(stored.find_runs([tmp_path]))
+    (line,) = screen.comparison_warnings(stored.find_runs([tmp_path]))
     assert line == "2 runs repeat the settings and the seed of another; medians count each"
 
 
@@ -335,24 +338,25 @@ def test_table_merges_sweeps_and_warns_on_standard_error(tmp_path: Path, capsys:
     versioned(tmp_path / "two" / "p", "previous", "0.19", "data")
     paths = [str(tmp_path / "one"), str(tmp_path / "two")]
     assert main(["table", *paths, "--format", "csv", "--columns", "selector"]) == 0
-    told = capsys.readouterr()
-    assert told.out == "selector\nrbtm\nprevious\n"
-    assert told.err.startswith("warning: open3d differs") and told.err.count("\n") == 1
+    printed = capsys.readouterr()
+    assert printed.out == "selector\nrbtm\nprevious\n"
+    assert printed.err.startswith("warning: open3d differs") and printed.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("fmt", render.FORMATS)
 def test_table_best_rebuilds_the_end_of_a_sweep(sweep: Path, capsys: Any, fmt: str) -> None:
     assert main(["table", str(sweep), "--best", "--format", fmt]) == 0
-    told = capsys.readouterr()
-    assert "tried" in told.out
-    beside = told.out if fmt == "text" else told.err
+    printed = capsys.readouterr()
+    assert "tried" in printed.out
+    beside = printed.out if fmt == "text" else printed.err
     assert "not an equal chance" in beside
     if fmt == "json":
-        rows = json.loads(told.out)
+        rows = json.loads(printed.out)
         assert [row["tried"] for row in rows] == [2, 1, 1, 2, 1, 1]
         assert rows[0]["window"] == 8 and rows[0]["ms_per_scan"] == 2.0
     if fmt == "text":
-        assert told.out.strip() in screen.of_runs(sweep, sorted(sweep.glob("*-*")))
+        tables = screen.tables_of(sorted(sweep.glob("*-*")))
+        assert printed.out.strip() in screen.of_runs(sweep, tables)
 
 
 # --- reading

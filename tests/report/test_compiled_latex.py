@@ -1,4 +1,4 @@
-"""LaTeX tables through LaTeX itself, where there is one."""
+"""LaTeX tables through LaTeX itself, where it is installed."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PAGE = (
 )
 
 
-@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="there is no pdflatex here")
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="no pdflatex is installed")
 @pytest.mark.parametrize(
     "options", [[], ["--over-seeds"], ["--intervals"], ["--against", "selector=previous"]]
 )

@@ -36,7 +36,7 @@ def make_run(
     """A run folder written by hand; without metrics it failed."""
     folder.mkdir(parents=True)
     chosen = {"dataset": "corridor", "backend": "open3d_p2p", "selector": "previous"}
-    told = {
+    stored_record = {
         "status": "failed" if metrics is None else "done",
         "reason": "RuntimeError: out of luck" if metrics is None else None,
         "seconds": None if metrics is None else 1.5,
@@ -47,7 +47,7 @@ def make_run(
     }
     config = {"seed": seed, "out": str(folder), "selector": selector or {}}
     config["dataset"] = {"seed": seed, **(dataset or {})}
-    (folder / "run.json").write_text(json.dumps(told))
+    (folder / "run.json").write_text(json.dumps(stored_record))
     (folder / "config.yaml").write_text(yaml.safe_dump(config))
     if metrics is not None:
         (folder / "metrics.json").write_text(json.dumps(metrics))
@@ -85,8 +85,8 @@ def test_a_real_run_reads_back(tmp_path: Path) -> None:
 def test_runs_below_a_folder_once_each_and_in_order(tmp_path: Path) -> None:
     for name in ("b", "a", "deep/er/c"):
         make_run(tmp_path / name, metrics={})
-    found = stored.find_runs([tmp_path / "b", tmp_path, tmp_path / "deep"])
-    assert [run.path.name for run in found] == ["b", "a", "c"]
+    runs = stored.find_runs([tmp_path / "b", tmp_path, tmp_path / "deep"])
+    assert [run.path.name for run in runs] == ["b", "a", "c"]
 
 
 @pytest.mark.parametrize(

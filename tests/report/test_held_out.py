@@ -1,4 +1,4 @@
-"""Settings chosen on other data: every choice worked out by hand from run folders written here."""
+"""Settings chosen on other data: every choice worked out by hand from run folders of the tests."""
 
 from __future__ import annotations
 
@@ -95,14 +95,14 @@ def test_every_backend_and_selector_chooses_for_itself(tmp_path: Path) -> None:
         errors = {gap: dict.fromkeys("ab", 1.0 if gap == better else 3.0) for gap in (2, 5)}
         make_places(tmp_path, "fixed_gap", errors, backend=backend)
         make_places(tmp_path, "previous", {None: dict.fromkeys("ab", 7.0)}, backend=backend)
-    found = held_out.leave_one_out(stored.find_runs([tmp_path]))
-    known = [(m.row["data"][-1], m.row["backend"], m.row["selector"]) for m in found]
+    chosen = held_out.leave_one_out(stored.find_runs([tmp_path]))
+    known = [(m.row["data"][-1], m.row["backend"], m.row["selector"]) for m in chosen]
     assert sorted(known) == sorted(
         (p, b, s) for p in "ab" for b in ("p2p", "gicp") for s in ("fixed_gap", "previous")
     )
-    by_backend = {m.row["backend"]: m.row["settings"] for m in found if m.row["settings"]}
+    by_backend = {m.row["backend"]: m.row["settings"] for m in chosen if m.row["settings"]}
     assert by_backend == {"p2p": "gap=2", "gicp": "gap=5"}
-    single = [m.row for m in found if m.row["selector"] == "previous"]
+    single = [m.row for m in chosen if m.row["selector"] == "previous"]
     assert {(row["tried"], row["chosen_on"]) for row in single} == {(1, "")}  # nothing to choose
 
 
@@ -114,7 +114,7 @@ def test_a_setting_that_failed_elsewhere_is_chosen_only_if_all_did(tmp_path: Pat
     make_places(tmp_path, "fixed_gap", errors)
     rows = left_out(tmp_path)
     assert settings_of(rows) == {"a": "gap=5", "b": "gap=5", "c": "gap=2"}
-    assert rows["c", "fixed_gap"]["status"] == "0 of 1 done"  # chosen elsewhere, failed here
+    assert rows["c", "fixed_gap"]["status"] == "0 of 1 done"  # chosen elsewhere, failed on c
     assert rows["c", "fixed_gap"][MM] is None
     for place in "bc":  # now every setting has failed once among b and c
         (tmp_path / f"{place}-p2p-fixed_gap-5" / "metrics.json").unlink()
@@ -137,7 +137,7 @@ def test_of_equal_settings_the_first(tmp_path: Path) -> None:
     assert (row["settings"], row["equal"], row["tried"]) == ("gap=2", 3, 3)  # runs are by name
 
 
-def test_no_error_at_all_is_the_best_there_is(tmp_path: Path) -> None:
+def test_no_error_at_all_is_the_best(tmp_path: Path) -> None:
     errors = {2: {"a": 1.0, "b": 1e-9, "c": 1.0}, 5: {"a": 2.0, "b": 0.0, "c": 1.0}}
     make_places(tmp_path, "fixed_gap", errors)
     assert left_out(tmp_path)["a", "fixed_gap"]["settings"] == "gap=5"
@@ -146,22 +146,24 @@ def test_no_error_at_all_is_the_best_there_is(tmp_path: Path) -> None:
 def test_settings_that_not_all_data_have_are_left_out(tmp_path: Path) -> None:
     make_places(tmp_path, "fixed_gap", {2: {"a": 1.0, "b": 1.0}, 5: {"a": 1.0, "b": 9.0},
                                         9: {"a": 0.1}})  # fmt: skip
-    found = held_out.leave_one_out(stored.find_runs([tmp_path]))
-    row = rows_of(found)["a", "fixed_gap"]
+    chosen = held_out.leave_one_out(stored.find_runs([tmp_path]))
+    row = rows_of(chosen)["a", "fixed_gap"]
     assert (row["settings"], row["tried"], row["left_out"]) == ("gap=2", 2, 1)
-    assert "1 setting was left out: not run on all of the data" in held_out.notes(found)
+    assert "1 setting was left out: not run on all of the data" in held_out.choice_notes(chosen)
 
 
 def test_without_numbers_elsewhere_no_setting_is_named(tmp_path: Path) -> None:
     lost: dict[int, Errors] = {2: {"a": 1.0, "b": None}, 5: {"a": 2.0, "b": None}}
     make_places(tmp_path, "fixed_gap", lost)
-    found = held_out.leave_one_out(stored.find_runs([tmp_path]))
-    row = rows_of(found)["a", "fixed_gap"]
+    chosen = held_out.leave_one_out(stored.find_runs([tmp_path]))
+    row = rows_of(chosen)["a", "fixed_gap"]
     assert (row["status"], row["settings"], row["n"], row.get(MM)) == ("no choice", "", 0, None)
     assert (row["tried"], row["backend"]) == (2, "p2p")
-    assert "1 row names no setting: no number on other data to choose by" in held_out.notes(found)
-    held_out.table(found)
-    assert len(with_intervals.intervals([], [MM], found=found)) == 2
+    assert "1 row names no setting: no number on other data to choose by" in held_out.choice_notes(
+        chosen
+    )
+    held_out.chosen_table(chosen)
+    assert len(with_intervals.interval_table([], [MM], methods=chosen)) == 2
 
 
 def test_one_data_set_cannot_leave_one_out(tmp_path: Path) -> None:
@@ -170,20 +172,20 @@ def test_one_data_set_cannot_leave_one_out(tmp_path: Path) -> None:
         left_out(tmp_path)
 
 
-def test_files_are_told_by_their_names_and_many_by_their_number(tmp_path: Path) -> None:
+def test_files_go_by_their_names_and_many_by_their_number(tmp_path: Path) -> None:
     for log in ("a", "b", "c", "d", "e"):
         for gap in (2, 5):
             data = {"path": f"/far/away/{log}.clf.gz"}
             run = {"data": data, "dataset": "carmen", "fingerprint": log, "gap": gap}
             make_run(tmp_path / f"{log}{gap}", "fixed_gap", {MEAN: 1.0 * gap}, **run)
-    found = held_out.leave_one_out(stored.find_runs([tmp_path]))
-    assert {m.row["chosen_on"] for m in found} == {"4 other data sets"}
+    chosen = held_out.leave_one_out(stored.find_runs([tmp_path]))
+    assert {m.row["chosen_on"] for m in chosen} == {"4 other data sets"}
     for log in "de":
         for gap in (2, 5):
             for file in (tmp_path / f"{log}{gap}").iterdir():
                 file.unlink()
-    found = held_out.leave_one_out(stored.find_runs([tmp_path]))
-    assert found[0].row["chosen_on"] == "b.clf.gz, c.clf.gz"
+    chosen = held_out.leave_one_out(stored.find_runs([tmp_path]))
+    assert chosen[0].row["chosen_on"] == "b.clf.gz, c.clf.gz"
 
 
 # --- chosen on what is named
@@ -205,13 +207,13 @@ def seeds(tmp_path: Path) -> Path:
 
 
 def test_seeds_that_choose_are_not_shown(seeds: Path) -> None:
-    found = held_out.choose_on(stored.find_runs([seeds]), "seed", ["6", "7"])
-    rows = rows_of(found)
+    chosen = held_out.choose_on(stored.find_runs([seeds]), "seed", ["6", "7"])
+    rows = rows_of(chosen)
     assert {key: row["settings"] for key, row in rows.items() if key[1] == "fixed_gap"} == {
         ("a", "fixed_gap"): "gap=5", ("b", "fixed_gap"): "gap=2"
     }  # fmt: skip
     assert all(row["seeds"] == 6 for row in rows.values())
-    assert {run.record["seed"] for method in found for run in method.runs} == set(range(6))
+    assert {run.record["seed"] for method in chosen for run in method.runs} == set(range(6))
     assert rows["a", "fixed_gap"][MM] == 11.5  # the median of 9 to 14
     assert rows["a", "fixed_gap"]["chosen_on"] == "seed=6,7"
     assert rows["a", "previous"]["chosen_on"] == ""
@@ -220,9 +222,9 @@ def test_seeds_that_choose_are_not_shown(seeds: Path) -> None:
 def test_one_place_chooses_for_the_others(seeds: Path) -> None:
     runs = stored.find_runs([seeds])
     for key in ("dataset.environment", "environment"):
-        found = held_out.choose_on(runs, key, ["a"])
-        assert {m.row["data"][-1] for m in found} == {"b"}
-        (row,) = (m.row for m in found if m.row["selector"] == "fixed_gap")
+        chosen = held_out.choose_on(runs, key, ["a"])
+        assert {m.row["data"][-1] for m in chosen} == {"b"}
+        (row,) = (m.row for m in chosen if m.row["selector"] == "fixed_gap")
         # in a on all eight seeds: gap 2 is better on six of them
         assert (row["settings"], row["seeds"], row["chosen_on"]) == ("gap=2", 8, f"{key}=a")
 
@@ -240,8 +242,8 @@ def test_a_missing_seed_counts_as_failed(tmp_path: Path) -> None:
         ("seed", "--choose-on seed: expected KEY=VALUES"),
         ("seed=", "expected KEY=VALUES"),
         ("=3", "expected KEY=VALUES"),
-        ("seed=6,8", "no run has seed=8; here: 0, 1, 2, 3, 4, 5, 6, 7"),
-        ("colour=red", "no run here has a colour"),
+        ("seed=6,8", "no run has seed=8; known: 0, 1, 2, 3, 4, 5, 6, 7"),
+        ("colour=red", "none of these runs has a colour"),
         ("environment=a,b", "all runs have it, none is left"),
     ],
 )
@@ -256,8 +258,8 @@ def test_mistakes_are_named(seeds: Path, word: str, why: str) -> None:
 
 def test_held_out_rows_are_paired(seeds: Path) -> None:
     runs = stored.find_runs([seeds])
-    found = held_out.choose_on(runs, "seed", ["6", "7"])
-    table = paired.against(runs, "previous", found=found)
+    chosen = held_out.choose_on(runs, "seed", ["6", "7"])
+    table = paired.against(runs, "previous", methods=chosen)
     assert len(table) == 2 and set(table["difference"]) == {-1.0}  # 9 + s minus 10 + s
     assert set(table["difference_n"]) == {6} and set(table["p"]) == {2 / 64}
     assert set(table["chosen_on"]) == {"seed=6,7"} and set(table["tried"]) == {2}
@@ -267,36 +269,36 @@ def test_held_out_rows_are_paired(seeds: Path) -> None:
     for method in by_backend["gicp"]:
         method.row["backend"] = "gicp"
     both = [*by_backend["p2p"], *by_backend["gicp"]]
-    table = paired.against(runs, "backend=gicp", found=both)
+    table = paired.against(runs, "backend=gicp", methods=both)
     assert set(table["difference"]) == {0.0}  # whatever settings each has
 
 
 def test_pooled_over_places_whatever_their_settings(seeds: Path) -> None:
     runs = stored.find_runs([seeds])
-    found = held_out.pooled(held_out.choose_on(runs, "seed", ["6", "7"]))
-    rows = {m.row["selector"]: m.row for m in found}
+    chosen = held_out.pooled(held_out.choose_on(runs, "seed", ["6", "7"]))
+    rows = {m.row["selector"]: m.row for m in chosen}
     assert rows["fixed_gap"]["data"] == "corridor (2 pooled)"
     assert (rows["fixed_gap"]["settings"], rows["fixed_gap"]["seeds"]) == ("", 12)
-    table = paired.against(runs, "previous", found=found)
+    table = paired.against(runs, "previous", methods=chosen)
     assert list(table["difference_n"]) == [12] and list(table["difference"]) == [-1.0]
     assert list(table["holds"]) == ["better"]
-    table = with_intervals.intervals(runs, found=found)
+    table = with_intervals.interval_table(runs, methods=chosen)
     assert set(table[f"{MM}_n"]) == {12} and set(table["rank"]) == {1.0, 2.0}
 
 
 # --- what is shown
 
 
-def test_tries_are_told(tmp_path: Path) -> None:
+def test_tries_are_noted(tmp_path: Path) -> None:
     make_places(tmp_path, "fixed_gap", {g: dict.fromkeys("ab", 1.0 * g) for g in (2, 5)})
     make_places(tmp_path, "previous", {None: dict.fromkeys("ab", 7.0)})
-    found = held_out.leave_one_out(stored.find_runs([tmp_path]))
-    rule, tries = held_out.notes(found)
+    chosen = held_out.leave_one_out(stored.find_runs([tmp_path]))
+    rule, tries = held_out.choice_notes(chosen)
     assert "least mean logarithm of the main error" in rule and "failed run" in rule
     assert tries == "fixed_gap had 2 settings to choose from, previous 1: not an equal chance"
-    table = held_out.table(found)
+    table = held_out.chosen_table(chosen)
     assert list(table["selector"]) == ["fixed_gap", "previous"] * 2  # by error
-    names, main = held_out.columns(table)
+    names, main = held_out.chosen_columns(table)
     assert names[-2:] == ["tried", "chosen_on"] and main == [MM]
 
 
@@ -309,8 +311,8 @@ def test_the_command_line_shows_it_in_every_format(seeds: Path, capsys: Any, fmt
         head, *rows = check_latex(out.rstrip("\n"))
         assert head[-1] == r"chosen\_on" and len(rows) == 4
     if fmt == "json":
-        rows_found = json.loads(out)
-        assert sorted(row["settings"] or "" for row in rows_found) == ["", "", "gap=2", "gap=5"]
+        rows = json.loads(out)
+        assert sorted(row["settings"] or "" for row in rows) == ["", "", "gap=2", "gap=5"]
 
 
 def test_the_command_line_combines_it(seeds: Path, capsys: Any) -> None:
@@ -335,9 +337,9 @@ def test_relations_of_a_log_keep_their_clusters(tmp_path: Path) -> None:
         for gap, errors in ((2, [1, 2, 3, 4, 5, 6]), (5, [9] * 6)):
             make_log(tmp_path / f"{log}{gap}", "fixed_gap", errors, gap=gap, **more)
     runs = stored.find_runs([tmp_path])
-    found = held_out.leave_one_out(runs)
-    assert {m.row["settings"] for m in found} == {"", "gap=2"}
-    table = paired.against(runs, "previous", found=found)
+    chosen = held_out.leave_one_out(runs)
+    assert {m.row["settings"] for m in chosen} == {"", "gap=2"}
+    table = paired.against(runs, "previous", methods=chosen)
     assert set(table["unit"]) == {"clusters"} and set(table["difference"]) == {-0.5}
     assert math.isnan(table["p"].iloc[0])
 
@@ -362,5 +364,7 @@ def test_the_data_shown_cannot_choose(tmp_path: Path) -> None:
     for seed in (0, 1):  # a log has no seeds: the same data twice
         make_run(tmp_path / f"r{seed}", "random_gap", {MM: 1.0}, seed=seed, fingerprint="log")
     runs = stored.find_runs([tmp_path])
-    with pytest.raises(ConfigError, match=r"chosen on the very data of r0.*seed changes nothing"):
+    with pytest.raises(
+        ConfigError, match=r"chosen on the very data of r0.*seed does not change the data"
+    ):
         held_out.choose_on(runs, "seed", ["1"])

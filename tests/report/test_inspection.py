@@ -40,7 +40,7 @@ def test_a_run_is_a_folder_or_the_only_one_in_it(tmp_path: Path) -> None:
         assert inspection.find_run(place).path == path
 
 
-def test_what_is_no_run_names_those_there_are(tmp_path: Path) -> None:
+def test_what_is_no_run_names_the_runs_beside_it(tmp_path: Path) -> None:
     for name in ("none-previous", "none-rbtm", "p2p-previous", "p2p-rbtm", "p2p-oldest"):
         make_run(tmp_path / name, "previous", {})
     (tmp_path / "empty").mkdir()
@@ -105,11 +105,11 @@ def test_folders_of_plug_ins_go_with_the_command(tmp_path: Path) -> None:
 def test_a_failed_run_and_one_without_much(tmp_path: Path) -> None:
     path = make_run(tmp_path / "run", "previous", None)
     edit(path / "run.json", reason="time limit of 5 s", finished="today")
-    out = inspection.shown(stored.read_run(path))
+    out = inspection.run_text(stored.read_run(path))
     assert out.startswith(f"{path}: failed, today: time limit of 5 s (more in run.json)")
     assert "results" not in out.splitlines() and "run.json" in out.splitlines()[-1]
     edit(path / "run.json", status="started", started="yesterday")
-    assert "started, yesterday, never ended" in inspection.shown(stored.read_run(path))
+    assert "started, yesterday, never ended" in inspection.run_text(stored.read_run(path))
 
 
 # --- diff
@@ -146,8 +146,8 @@ def test_every_section_by_hand(tmp_path: Path) -> None:
     edit(b / "run.json", versions={"numpy": "2.1", "scipy": "1.1"}, git="abc", host="two")
     edit(a / "run.json", dataset_fingerprint="0123456789abcdef")
     edit(b / "run.json", dataset_fingerprint="fedcba9876543210")
-    found = inspection.compared(stored.read_run(a), stored.read_run(b))
-    assert found.sections == {
+    differences = inspection.compared(stored.read_run(a), stored.read_run(b))
+    assert differences.sections == {
         "settings": [
             "dataset.seed     0 -> 3",
             "seed             0 -> 3",
@@ -157,7 +157,7 @@ def test_every_section_by_hand(tmp_path: Path) -> None:
         "data": ["dataset_fingerprint  0123456789ab -> fedcba987654"],
         "results": [f"{MM}  10 -> 25  (x 2.5)"],
     }
-    assert found.aside == ["host  one -> two"] and not found.equal
+    assert differences.aside == ["host  one -> two"] and not differences.equal
 
 
 def test_what_changes_no_number_does_not_count(tmp_path: Path) -> None:
@@ -167,17 +167,20 @@ def test_what_changes_no_number_does_not_count(tmp_path: Path) -> None:
     for path, more in ((a, "time_limit: 5\npairs: {store: off}"), (b, "map_resolution: 0.1")):
         with open(path / "config.yaml", "a") as file:
             file.write(more + "\nregistration: {voxel_size: 0.1}\n" if path == a else more + "\n")
-    found = inspection.compared(stored.read_run(a), stored.read_run(b))
-    assert found.equal and found.aside == ["ms_per_scan  2 -> 4  (x 2)", "reused       0 -> -"]
+    differences = inspection.compared(stored.read_run(a), stored.read_run(b))
+    assert differences.equal and differences.aside == [
+        "ms_per_scan  2 -> 4  (x 2)",
+        "reused       0 -> -",
+    ]
 
 
 def test_the_last_bit_counts_and_shows(tmp_path: Path) -> None:
     third = 1 / 3
     a = make_run(tmp_path / "a", "rbtm", {MM: third})
     b = make_run(tmp_path / "b", "rbtm", {MM: float(np.nextafter(third, 1))})
-    found = inspection.compared(stored.read_run(a), stored.read_run(b))
-    assert not found.equal
-    assert "0.3333333333333333 -> 0.33333333333333337" in found.sections["results"][0]
+    differences = inspection.compared(stored.read_run(a), stored.read_run(b))
+    assert not differences.equal
+    assert "0.3333333333333333 -> 0.33333333333333337" in differences.sections["results"][0]
 
 
 def test_where_trajectories_part(tmp_path: Path) -> None:
@@ -188,16 +191,16 @@ def test_where_trajectories_part(tmp_path: Path) -> None:
     for path, poses in zip(paths, (T, other, T[:4]), strict=True):
         Trajectory(np.arange(len(poses), dtype=float), poses).write_tum(path / "trajectory.tum")
     runs = [stored.read_run(path) for path in paths]
-    found = inspection.compared(runs[0], runs[1]).sections["results"]
-    assert found == ["trajectory  from scan 3 on, at most 0.5 m and 0 deg apart"]
+    differences = inspection.compared(runs[0], runs[1]).sections["results"]
+    assert differences == ["trajectory  from scan 3 on, at most 0.5 m and 0 deg apart"]
     assert inspection.compared(runs[0], runs[2]).sections["results"] == ["trajectory  6 -> 4 poses"]
     assert inspection.compared(runs[0], runs[0]).equal
 
 
 def test_a_failed_run_differs_in_its_status(tmp_path: Path) -> None:
     a, b = (make_run(tmp_path / n, "rbtm", m) for n, m in (("a", {MM: 1.0}), ("b", None)))
-    found = inspection.compared(stored.read_run(a), stored.read_run(b))
-    assert found.sections["results"] == ["status  done -> failed", f"{MM}  1 -> -"]
+    differences = inspection.compared(stored.read_run(a), stored.read_run(b))
+    assert differences.sections["results"] == ["status  done -> failed", f"{MM}  1 -> -"]
 
 
 def test_exit_code_of_a_mistake(tmp_path: Path) -> None:

@@ -37,21 +37,21 @@ def test_median_of_six_by_hand() -> None:
 def test_mean_of_six_by_hand() -> None:
     # The mean is k/6 with k binomial(6, 1/2): P(k = 0) = 1.6%, P(k <= 1) = 10.9%. The sample is
     # symmetric, so BCa corrects nothing.
-    found = interval([0, 1, 0, 1, 0, 1], "mean")
-    assert (found.value, found.n) == (0.5, 6)
-    assert (found.low, found.high) == pytest.approx((1 / 6, 5 / 6))
+    estimate = interval([0, 1, 0, 1, 0, 1], "mean")
+    assert (estimate.value, estimate.n) == (0.5, 6)
+    assert (estimate.low, estimate.high) == pytest.approx((1 / 6, 5 / 6))
 
 
 def test_a_mean_of_skewed_values_reaches_further_up() -> None:
-    found = interval([1, 1, 1, 1, 1, 1, 1, 1, 1, 21], "mean")
-    assert found.low is not None and found.high is not None
-    assert found.high - found.value > 2 * (found.value - found.low)
+    estimate = interval([1, 1, 1, 1, 1, 1, 1, 1, 1, 21], "mean")
+    assert estimate.low is not None and estimate.high is not None
+    assert estimate.high - estimate.value > 2 * (estimate.value - estimate.low)
 
 
 def test_equal_values_have_an_interval_of_no_length() -> None:
     for statistic in ("median", "mean"):
-        found = interval([7.0] * 5, statistic)
-        assert found == Interval(7.0, 7.0, 7.0, 5)
+        estimate = interval([7.0] * 5, statistic)
+        assert estimate == Interval(7.0, 7.0, 7.0, 5)
 
 
 def test_few_values_have_none() -> None:
@@ -90,30 +90,30 @@ def test_copies_within_a_cluster_say_nothing_new() -> None:
 def test_strata_keep_their_shares() -> None:
     # Half of the relations are local and have no error at all: the mean is half that of the rest.
     errors = np.concatenate([np.zeros(6), SIX])
-    found = cluster_interval(errors, np.arange(12), np.repeat([True, False], 6))
-    assert (found.value, found.n) == (0.25, 12)
-    assert (found.low, found.high) == pytest.approx((1 / 12, 5 / 12))
+    estimate = cluster_interval(errors, np.arange(12), np.repeat([True, False], 6))
+    assert (estimate.value, estimate.n) == (0.25, 12)
+    assert (estimate.low, estimate.high) == pytest.approx((1 / 12, 5 / 12))
 
 
 def test_a_large_cluster_weighs_by_its_relations() -> None:
     errors, clusters = np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0]), np.array([5, 5, 5, 5, 8, 9])
-    found = cluster_interval(errors, clusters, np.zeros(6))
-    assert found.value == pytest.approx(4 / 6) and found.n == 3
-    assert found.low == 0.0  # 8 of 27 samples have not got it
-    assert found.high == 1.0  # one of 27 has nothing else
+    estimate = cluster_interval(errors, clusters, np.zeros(6))
+    assert estimate.value == pytest.approx(4 / 6) and estimate.n == 3
+    assert estimate.low == 0.0  # 8 of 27 samples have not got it
+    assert estimate.high == 1.0  # one of 27 has nothing else
 
 
 def test_errors_that_do_not_exist_are_left_out() -> None:
     errors = np.array([np.nan, 1.0, 2.0, 3.0, np.nan])
-    found = cluster_interval(errors, np.array([0, 1, 2, 3, 4]), np.zeros(5))
-    assert (found.value, found.n) == (2.0, 3)
+    estimate = cluster_interval(errors, np.array([0, 1, 2, 3, 4]), np.zeros(5))
+    assert (estimate.value, estimate.n) == (2.0, 3)
     with pytest.raises(ValueError, match="at least one error"):
         cluster_interval(errors[:1], np.array([0]), np.zeros(1))
 
 
 def test_no_interval_of_fewer_than_three_clusters() -> None:
-    found = cluster_interval(np.arange(8.0), np.repeat([0, 1], 4), np.zeros(8))
-    assert found == Interval(3.5, None, None, 2)
+    estimate = cluster_interval(np.arange(8.0), np.repeat([0, 1], 4), np.zeros(8))
+    assert estimate == Interval(3.5, None, None, 2)
     strata = np.array([0, 0, 0, 1])  # a stratum of one cluster cannot be resampled
     assert cluster_interval(np.arange(4.0), np.arange(4), strata).low is None
 
@@ -167,8 +167,8 @@ def test_local_relations_are_cut_into_blocks_of_time() -> None:
 
 def test_local_and_long_relations_never_share_a_cluster() -> None:
     start, end = np.array([0.0, 0.0, 1.0]), np.array([31.0, 30.0, 32.0])
-    found = relation_clusters(start, end, np.array([False, True, False]))
-    assert found.tolist() == [0, 1, 0]
+    labels = relation_clusters(start, end, np.array([False, True, False]))
+    assert labels.tolist() == [0, 1, 0]
     assert len(relation_clusters(np.zeros(0), np.zeros(0), np.zeros(0, bool))) == 0
 
 
@@ -178,12 +178,12 @@ def test_clusters_of_the_real_logs(data_dir: Path, log: str, long: int) -> None:
     relations = parse_relations(str(path), path.read_bytes())
     start, end = relations.start, relations.end
     local = np.abs(end - start) <= 30.0
-    found = relation_clusters(start, end, local)
-    assert len(np.unique(found[~local])) == long
-    assert len(np.unique(found)) == found.max() + 1 == long + len(np.unique(found[local]))
+    labels = relation_clusters(start, end, local)
+    assert len(np.unique(labels[~local])) == long
+    assert len(np.unique(labels)) == labels.max() + 1 == long + len(np.unique(labels[local]))
     order = np.random.default_rng(0).permutation(len(start))
     again = relation_clusters(start[order], end[order], local[order])
-    assert np.array_equal(again, found[order])
+    assert np.array_equal(again, labels[order])
 
 
 # --- paired tests
@@ -221,8 +221,8 @@ def test_holm_by_hand() -> None:
 
 def test_mean_ranks_by_hand() -> None:
     values: Array = np.array([[1.0, 2, 3], [1, 3, 2], [5, 5, 9], [1, 2, 3], [1, 2, 3], [3, 2, 1]])
-    found = mean_ranks(values)
-    assert found is not None
+    ranks = mean_ranks(values)
+    assert ranks is not None
     # firsts: 1 1 1.5 1 1 3; seconds: 2 3 1.5 2 2 2; thirds: 3 2 3 3 3 1
-    assert found.tolist() == pytest.approx([8.5 / 6, 12.5 / 6, 15 / 6])
+    assert ranks.tolist() == pytest.approx([8.5 / 6, 12.5 / 6, 15 / 6])
     assert mean_ranks(values[:5]) is None

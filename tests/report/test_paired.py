@@ -1,4 +1,4 @@
-"""Paired differences: every number worked out by hand from run folders written here."""
+"""Paired differences: every number worked out by hand from run folders written by the tests."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def difference(row: dict[str, Any]) -> tuple[Any, ...]:
     return tuple(row[f"difference{end}"] for end in ("", "_low", "_high", "_n"))
 
 
-# --- what is said of a difference
+# --- what a difference is called
 
 
 def test_differences_on_the_same_seeds(tmp_path: Path) -> None:
@@ -62,7 +62,7 @@ def test_with_five_data_sets_nothing_is_called_better(tmp_path: Path) -> None:
     (row,) = rows_of(tmp_path, "previous")
     assert (row["p"], row["p_holm"], row["holds"]) == (None, None, "")
     assert difference(row) == (-29.0, -49.0, -9.0, 5)
-    lines = paired.notes(paired.against(stored.find_runs([tmp_path]), "previous"))
+    lines = paired.difference_notes(paired.against(stored.find_runs([tmp_path]), "previous"))
     assert lines[1] == (
         "no test, and nothing called better, on fewer than 6 independent data sets (a log is one)"
     )
@@ -81,11 +81,17 @@ def test_data_without_the_reference_stay_in_the_table(tmp_path: Path) -> None:
             data = {"environment": place}
             make_seeds(tmp_path / place, selector, REFERENCE, data=data, window=4)
     rows = rows_of(tmp_path, "previous")
-    found = {(row["data"][-5:], row["selector"]): row for row in rows}
-    assert set(found) == {("paper", "rbtm"), ("=bare", "rbtm"), ("=bare", "oldest")}
-    assert found["=bare", "rbtm"]["difference"] is None and found["=bare", "rbtm"]["holds"] == ""
+    by_method = {(row["data"][-5:], row["selector"]): row for row in rows}
+    assert set(by_method) == {("paper", "rbtm"), ("=bare", "rbtm"), ("=bare", "oldest")}
+    assert (
+        by_method["=bare", "rbtm"]["difference"] is None
+        and by_method["=bare", "rbtm"]["holds"] == ""
+    )
     table = paired.against(stored.find_runs([tmp_path]), "previous")
-    assert "no difference where the reference, or a number of it, is missing" in paired.notes(table)
+    assert (
+        "no difference where the reference, or a number of it, is missing"
+        in paired.difference_notes(table)
+    )
     make_seeds(tmp_path / "x", "keyframe", [1.0], data={"environment": "hall"})
     with pytest.raises(ConfigError, match="no other method has a number on the same data"):
         rows_of(tmp_path, "keyframe")
@@ -115,7 +121,7 @@ def test_who_failed_on_a_seed_is_not_called_better(tmp_path: Path) -> None:
     (row,) = rows_of(tmp_path, "previous")
     assert (row["p_holm"], row["holds"], row["status"]) == (2 / 64, "", "6 of 7 done")
     table = paired.against(stored.find_runs([tmp_path]), "previous")
-    assert "a run failed is not called better" in paired.notes(table)[-1]
+    assert "a run failed is not called better" in paired.difference_notes(table)[-1]
     (row,) = rows_of(tmp_path, "rbtm")  # nor does the other lose by it
     assert row["holds"] == ""
     worse = tmp_path / "worse"
@@ -209,8 +215,8 @@ def test_a_selector_is_compared_within_every_backend(sweep: Path) -> None:
 
 def test_a_backend_is_compared_within_every_selector_and_setting(sweep: Path) -> None:
     for reference in ("none", "backend=none"):
-        found = pairs_of(sweep, reference)
-        assert sorted(found) == [
+        pairs = pairs_of(sweep, reference)
+        assert sorted(pairs) == [
             ("p2p", s, "none") for s in ("keyframe", "keyframe", "previous", "rbtm")
         ]
     for row in rows_of(sweep, "none"):
@@ -218,8 +224,8 @@ def test_a_backend_is_compared_within_every_selector_and_setting(sweep: Path) ->
 
 
 def test_one_method_for_all(sweep: Path) -> None:
-    found = pairs_of(sweep, "backend=none,selector=previous")
-    assert len(found) == 7 and {reference for _, _, reference in found} == {"none previous"}
+    pairs = pairs_of(sweep, "backend=none,selector=previous")
+    assert len(pairs) == 7 and {reference for _, _, reference in pairs} == {"none previous"}
 
 
 def test_settings_make_a_reference_one_method(sweep: Path) -> None:
@@ -232,11 +238,11 @@ def test_settings_make_a_reference_one_method(sweep: Path) -> None:
 @pytest.mark.parametrize(
     ("reference", "why"),
     [
-        ("nix", "no selector nix in these runs; selectors here: keyframe, previous, rbtm"),
-        ("backend=nix", "no backend nix in these runs; backends here: none, p2p"),
+        ("nix", "no selector nix in these runs; known selectors: keyframe, previous, rbtm"),
+        ("backend=nix", "no backend nix in these runs; known backends: none, p2p"),
         ("keyframe", "several methods on corridor, name one: none keyframe distance=0.1; none"),
         ("distance=0.3", "expected a selector or a backend"),
-        ("rbtm window=5", "no method here is that"),
+        ("rbtm window=5", "none of these methods is that"),
     ],
 )
 def test_references_that_are_none(sweep: Path, reference: str, why: str) -> None:

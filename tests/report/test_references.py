@@ -104,11 +104,11 @@ def test_chosen_columns_bring_their_references(table: pd.DataFrame, names: str, 
 
 def test_the_screen_of_a_comparison_has_them(table: pd.DataFrame) -> None:
     one = table[:2].assign(seeds=1, map_cells=350)  # the same in every row: shown all the same
-    shown, same = render.screen(one)
+    shown, same = render.screen_table(one)
     assert "map_cells" not in same and "status done" in same
     rows = json.loads(render.render(shown, "json"))
     assert [row["map_cells"] for row in rows] == [350, 350, 400, 300]
-    alone, _ = render.screen(table[:1])
+    alone, _ = render.screen_table(table[:1])
     rows = json.loads(render.render(alone, "json"))
     assert [row["map_cells"] for row in rows] == [350, 400, 300]
 
@@ -118,9 +118,9 @@ def test_maps_measured_by_other_settings_have_their_own_references(table: pd.Dat
     two["map_cells_truth"] = [100, 400]
     chosen = two[render.existing_columns(two, "backend,map_cells")]
     rows = json.loads(render.render(chosen, "json"))[2:]
-    told = [(row["backend"], row["settings"], row["map_cells"]) for row in rows]
+    labelled = [(row["backend"], row["settings"], row["map_cells"]) for row in rows]
     coarse = "metrics.map_quality.cell=0.1"
-    assert told == [
+    assert labelled == [
         ("(truth)", coarse, 100),
         ("(no motion)", coarse, 300),
         ("(truth)", None, 400),
@@ -136,7 +136,7 @@ def test_over_seeds_references_are_medians(table: pd.DataFrame) -> None:
 
 
 def test_nothing_is_ranked_by_the_map(table: pd.DataFrame) -> None:
-    """The winner has the larger map and the higher entropy; without an error there is none."""
+    """The winner has the larger map and the higher entropy; without an error none wins."""
     assert not any(key.startswith("map_") for key, _, _ in best_settings.ERRORS)
     methods = table[:2].assign(selector="rbtm", backend="plicp", window=8, threshold=[0.1, 0.2])
     best = best_settings.best(methods)
@@ -163,9 +163,9 @@ def test_a_comparison_in_the_bare_corridor(
         with open(out / name, newline="", encoding="utf-8") as file:
             rows = {row[first]: row for row in csv.DictReader(file)}
         assert list(rows)[2:] == ["(truth)", "(no motion)"]
-        found = {key: float(row["map_cells"]) for key, row in rows.items()}
-        assert found["(no motion)"] < found["(truth)"]
+        cells = {key: float(row["map_cells"]) for key, row in rows.items()}
+        assert cells["(no motion)"] < cells["(truth)"]
         stuck = next(key for key in rows if "identity" in key)
-        assert found[stuck] == found["(no motion)"]
+        assert cells[stuck] == cells["(no motion)"]
     runs = stored.find_runs([out])
     assert len(runs) == 2 and all("map_cells_still" in run.metrics for run in runs)

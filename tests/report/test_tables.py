@@ -129,24 +129,24 @@ def test_every_format_of_real_runs_parses_back(
     out = tmp_path / "out"
     words = ["backend=none", "selector=previous,rbtm", "dataset.scans=8", "pin=false"]
     assert main(["compare", *words, f"out='{out}'", "--jobs", "1"]) == 0
-    found = {}
+    printed = {}
     for fmt in render.FORMATS:
         capsys.readouterr()
         assert main(["table", str(out), "--format", fmt]) == 0
-        found[fmt] = capsys.readouterr().out
-    rows = list(csv.DictReader(io.StringIO(found["csv"])))
-    assert found["csv"] == (out / "table.csv").read_text()
+        printed[fmt] = capsys.readouterr().out
+    rows = list(csv.DictReader(io.StringIO(printed["csv"])))
+    assert printed["csv"] == (out / "table.csv").read_text()
     assert [row["run"] for row in rows] == ["none-previous", "none-rbtm"]
     assert rows[0]["relations_used"] == "" and rows[0]["window"] == ""
-    as_json = json.loads(found["json"])
+    as_json = json.loads(printed["json"])
     assert as_json[0]["relations_used"] is None and as_json[1]["window"] == 10
     for row, other in zip(rows, as_json, strict=True):
         assert float(row["ape_rmse_m"]) == other["ape_rmse_m"]
     reader = Cells()
-    reader.feed(found["html"])
+    reader.feed(printed["html"])
     assert len(reader.rows) == 3 and "relations_used" not in reader.rows[0]
-    assert found["md"].count("\n") == 4 and "relations_used" not in found["md"]
-    assert "none-rbtm" in found["text"] and r"\begin{tabular}" in found["latex"]
+    assert printed["md"].count("\n") == 4 and "relations_used" not in printed["md"]
+    assert "none-rbtm" in printed["text"] and r"\begin{tabular}" in printed["latex"]
 
 
 # --- choice of columns
@@ -164,10 +164,10 @@ def test_a_screen_shows_what_differs() -> None:
         method("previous", 10.0, coverage=1.0, rejected=0),
         method("rbtm", 20.0, coverage=1.0, rejected=2),
     )
-    shown, same = render.screen(table)
+    shown, same = render.screen_table(table)
     assert "coverage" not in shown and "rejected" in shown and "backend" in shown
     assert "coverage 1" in same and "data corridor" in same
-    assert render.screen(table[:1])[1] == ""
+    assert render.screen_table(table[:1])[1] == ""
 
 
 # --- verdicts
@@ -210,14 +210,14 @@ def test_better_worse_and_equal() -> None:
     assert "rbtm is worse." in line
 
 
-def test_the_best_control_and_previous_are_both_told() -> None:
+def test_the_best_control_and_previous_are_both_named() -> None:
     rows = [method("previous", 800.0), method("keyframe", 10.0), method("rbtm", 20.0)]
     (line,) = verdict.verdict(frame(*rows))
     assert "of the best control, keyframe, 10 mm: rbtm is 2 times worse" in line
     assert line.endswith("; previous 800 mm, rbtm is 40 times better.")
 
 
-def test_the_baseline_without_registration_is_told() -> None:
+def test_the_baseline_without_registration_is_named() -> None:
     rows = [method("previous", 100.0), method("rbtm", 20.0), method("previous", 10.0, "none")]
     (line,) = verdict.verdict(frame(*rows))
     assert line.endswith("; no registration 10 mm, rbtm is 2 times worse.")

@@ -1,4 +1,4 @@
-"""Tables with intervals: every number worked out by hand from run folders written here."""
+"""Tables with intervals: every number worked out by hand from run folders written by the tests."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rbtm_bench.runs import stored
 
 
 def rows_of(*folders: Path, **options: Any) -> list[dict[str, Any]]:
-    table = with_intervals.intervals(stored.find_runs(folders), **options)
+    table = with_intervals.interval_table(stored.find_runs(folders), **options)
     return table.astype(object).where(table.notna(), None).to_dict(orient="records")
 
 
@@ -72,9 +72,9 @@ def test_ranks_need_six_data_sets_that_all_have(tmp_path: Path) -> None:
     make_seeds(tmp_path, "previous", [3, 3, 3, 3, 3, 3, 3])
     make_seeds(tmp_path, "rbtm", [1, 1, 1, 1, 5, 5, 5], window=4)
     make_seeds(tmp_path, "oldest", [2, 2, 2, 3, 9, 9, None], window=4)
-    found = {row["selector"]: row["rank"] for row in rows_of(tmp_path)}
+    ranks = {row["selector"]: row["rank"] for row in rows_of(tmp_path)}
     # seeds 0 to 5: previous 3 3 3 2.5 1 1, rbtm 1 1 1 1 2 2, oldest 2 2 2 2.5 3 3
-    assert found == {
+    assert ranks == {
         "previous": pytest.approx(13.5 / 6),
         "rbtm": pytest.approx(8 / 6),
         "oldest": pytest.approx(14.5 / 6),
@@ -185,20 +185,20 @@ def test_readers_get_folded_cells(runs: Path, capsys: Any, fmt: str) -> None:
     assert "3.5 [1.5, 5.5] (6)" in out and "_low" not in out and "_n" not in out
 
 
-def test_too_few_is_said(tmp_path: Path) -> None:
+def test_too_few_units_are_noted(tmp_path: Path) -> None:
     make_seeds(tmp_path, "previous", [1, 2, 3, 4])
     make_seeds(tmp_path, "rbtm", [1, 2], window=4)
-    table = with_intervals.intervals(stored.find_runs([tmp_path]))
-    lines = with_intervals.notes(table, "median")
+    table = with_intervals.interval_table(stored.find_runs([tmp_path]))
+    lines = with_intervals.interval_notes(table, "median")
     assert "at most 88% with 4" in lines[1] and "no interval of fewer than 3" in lines[2]
     assert with_intervals.folded(table)[MM].tolist() == ["2.5 [1, 4] (4)", "1.5 (2)"]
     assert len(lines) == 3  # and nothing of ranks
 
 
-def test_a_metric_that_is_not_there(runs: Path, capsys: Any) -> None:
+def test_a_metric_that_no_run_has(runs: Path, capsys: Any) -> None:
     assert main(["table", str(runs), "--intervals", "--metric", "ape_rmse_m"]) == 2
     error = capsys.readouterr().err
-    assert error.startswith("rbtm-bench: --metric ape_rmse_m: no run here has a number")
+    assert error.startswith("rbtm-bench: --metric ape_rmse_m: none of these runs has a number")
     assert MM in error and error.count("\n") == 1
 
 

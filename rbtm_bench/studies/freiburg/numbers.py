@@ -245,7 +245,7 @@ def geometric_ratio(pairs: Sequence[Sequence[RelationErrors]], which: str = "all
         strata.append(_Sums(float(inside.mean()), to_sum.sum(axis=1), *sums))
     n = sum(len(s.counts) for s in strata)
     value = float(_mean_ratio(strata, [np.ones((1, len(s.counts))) for s in strata])[0])
-    if min(len(s.counts) for s in strata) < intervals.FEWEST:
+    if min(len(s.counts) for s in strata) < intervals.FEWEST_UNITS:
         return Interval(value, None, None, n)
     rng = np.random.default_rng(intervals.SEED)
     drawn = [

@@ -176,7 +176,7 @@ def share(random: Errors, ours: Errors, bound: Errors) -> Interval:
     groups = np.unique(random.clusters[known], return_inverse=True)[1]
     columns = np.stack([one.values[known] for one in (random, ours, bound)])
     n = int(groups.max()) + 1 if len(groups) else 0
-    if n < intervals.FEWEST:
+    if n < intervals.FEWEST_UNITS:
         return Interval(math.nan, None, None, n)
     drawn = np.random.default_rng(intervals.SEED).integers(0, n, (RESAMPLES, n))
     if random.median:
@@ -310,7 +310,7 @@ def pooled_share(outcomes: Mapping[Key, TryOutcome], ours: str, bound: str = "or
         int(complete.sum()),
     )
     value = float(way.mean() / gain.mean()) if n and gain.mean() > 0 else math.nan
-    if n < intervals.FEWEST:
+    if n < intervals.FEWEST_UNITS:
         return Interval(value, None, None, n)
     drawn = np.random.default_rng(intervals.SEED).integers(0, n, (RESAMPLES, n))
     below = gain[drawn].mean(axis=1)

@@ -12,7 +12,7 @@ import pandas as pd
 from tabulate import tabulate
 
 from rbtm_bench.engine.sweep_folder import versions
-from rbtm_bench.report.intervals import FEWEST, Interval
+from rbtm_bench.report.intervals import FEWEST_UNITS, Interval
 from rbtm_bench.studies.premise.plan import BOUNDS, NOTHING, RBTM, STRATEGIES, Place
 
 CONTROL_STRATEGIES = (NOTHING, "previous", "keyframe", "fixed_gap", "random_gap", "best")
@@ -143,7 +143,7 @@ def share_table(tables: PremiseTables, bound: str, places: Mapping[str, Place]) 
 
 
 def _share(row: Any) -> str:
-    if row["n"] < FEWEST:
+    if row["n"] < FEWEST_UNITS:
         return "too few"
     if row["share"] != row["share"]:
         return "no way to cover"
@@ -154,7 +154,7 @@ def _share(row: Any) -> str:
 
 def share_words(shares: pd.DataFrame, ours: str = "rbtm") -> str:
     """How many intervals lie above 0, below 0, or hold it."""
-    rows = shares[(shares["strategy"] == ours) & (shares["n"] >= FEWEST)]
+    rows = shares[(shares["strategy"] == ours) & (shares["n"] >= FEWEST_UNITS)]
     known = rows[rows["share"].notna()]
     above, below = int((known["low"] > 0).sum()), int((known["high"] < 0).sum())
     return (
