@@ -1,4 +1,4 @@
-"""Faults put into a copy of the package, one at a time: each must be noticed by the test named for it.
+"""Faults put into a copy of the package, one at a time: a test named for each must notice it.
 
     python scripts/mutants.py                      all of scripts/mutants.yaml
     python scripts/mutants.py --only holm_factor   one of them (may be repeated)
@@ -179,7 +179,7 @@ def judge(mutant: Mutant, root: Path) -> Verdict:
     kill: not one that could not be collected, nor one that never ended."""
     started = time.perf_counter()
     with changed(mutant, root):
-        code, said = run_tests(root, [mutant.test], mutant.jit, TIME_LIMIT_S)
+        code, said = run_tests(root, ["-x", mutant.test], mutant.jit, TIME_LIMIT_S)
     seconds = time.perf_counter() - started
     if code == FAILED:
         return Verdict(mutant, KILLED, seconds)

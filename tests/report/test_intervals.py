@@ -95,6 +95,15 @@ def test_strata_keep_their_shares() -> None:
     assert (found.low, found.high) == pytest.approx((1 / 12, 5 / 12))
 
 
+def test_strata_of_unequal_shares_keep_them() -> None:
+    # 18 of 24 relations are local and have no error: however many of the long ones' clusters are
+    # drawn, the mean is a quarter of theirs, and so are the ends of the interval.
+    errors = np.concatenate([np.zeros(18), SIX])
+    found = cluster_interval(errors, np.arange(24), np.repeat([True, False], [18, 6]))
+    assert (found.value, found.n) == (0.125, 24)
+    assert (found.low, found.high) == pytest.approx((1 / 24, 5 / 24))
+
+
 def test_a_large_cluster_weighs_by_its_relations() -> None:
     errors, clusters = np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0]), np.array([5, 5, 5, 5, 8, 9])
     found = cluster_interval(errors, clusters, np.zeros(6))
