@@ -143,11 +143,12 @@ def run_tests(root: Path, words: Sequence[str], jit: bool, limit: float) -> tupl
     return done.returncode, done.stdout + done.stderr
 
 
-def passing(root: Path, mutants: Sequence[Mutant], jit: bool) -> set[str]:
-    """Of the tests of these mutants those that pass on the copy; one that is skipped does not."""
+def passing(root: Path, mutants: Sequence[Mutant], jit: bool) -> tuple[set[str], str]:
+    """Of the tests of these mutants those that pass on the copy (one that is skipped does not),
+    and pytest's last words: of a test that it cannot find, it runs none at all."""
     tests = sorted({mutant.test for mutant in mutants if mutant.jit == jit})
     if not tests:
-        return set()
+        return set(), ""
     _, said = run_tests(root, ["-rA", *tests], jit, ALL_LIMIT_S)
     outcomes: dict[str, set[str]] = {}
     for line in said.splitlines():
@@ -155,12 +156,16 @@ def passing(root: Path, mutants: Sequence[Mutant], jit: bool) -> set[str]:
         if match:
             for test in {match[2], match[2].partition("[")[0]}:
                 outcomes.setdefault(test, set()).add(match[1])
-    return {test for test in tests if outcomes.get(test) == {"PASSED"}}
+    return {test for test in tests if outcomes.get(test) == {"PASSED"}}, _last_line(said)
+
+
+def _last_line(said: str) -> str:
+    return (said.strip().splitlines() or ["nothing said"])[-1]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a mutant, after how long, and, of a survivor, what pytest said."""
+    """What became of a mutant, after how long, and, unless it was killed, what pytest said."""
 
     mutant: Mutant
     outcome: str
@@ -183,8 +188,7 @@ def judge(mutant: Mutant, root: Path) -> Verdict:
     seconds = time.perf_counter() - started
     if code == FAILED:
         return Verdict(mutant, KILLED, seconds)
-    last = (said.strip().splitlines() or ["nothing said"])[-1]
-    return Verdict(mutant, SURVIVED, seconds, f"pytest's exit code {code}: {last}")
+    return Verdict(mutant, SURVIVED, seconds, f"pytest's exit code {code}: {_last_line(said)}")
 
 
 def judge_all(mutants: Sequence[Mutant], roots: Sequence[Path]) -> Iterator[Verdict]:
@@ -219,10 +223,10 @@ def check(mutants: Sequence[Mutant], jobs: int) -> list[Verdict]:
         with ThreadPoolExecutor(jobs) as pool:
             whole = [pool.submit(passing, roots[-jit], mutants, bool(jit)) for jit in (0, 1)]
             good = [future.result() for future in whole]
-        fit = [mutant for mutant in mutants if mutant.test in good[mutant.jit]]
+        fit = [mutant for mutant in mutants if mutant.test in good[mutant.jit][0]]
         for mutant in mutants:
             if mutant not in fit:
-                tell(Verdict(mutant, UNFIT, 0.0))
+                tell(Verdict(mutant, UNFIT, 0.0, good[mutant.jit][1]))
         for verdict in judge_all(fit, roots):
             tell(verdict)
     return verdicts

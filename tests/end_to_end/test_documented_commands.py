@@ -34,6 +34,7 @@ ELSEWSMALL_ENOUGH = {
     "python scripts/benchmarks/kill_sweep.py": "engine/test_stopped_sweeps.py",
     "python scripts/benchmarks/bench_": "end_to_end/test_documented_commands.py",
     "python scripts/benchmarks/nothing_matches.py": "odometry/test_nothing_matches.py",
+    "python scripts/mutants.py": "end_to_end/test_mutants.py",
     "python -m rbtm_bench.contract": "end_to_end/test_plugins.py",
     "rbtm-bench compare backend=open3d_p2p,my_icp": "end_to_end/test_plugins.py",
     "rbtm-bench list backend --config-dir": "end_to_end/test_plugins.py",

@@ -111,5 +111,6 @@ SKIPPED [1] t.py:9: no data
     tests = ["t.py::whole", "t.py::part", "t.py::case[a]", "t.py::skipped"]
     mutants = [example(tmp_path, test=test) for test in tests]
     mutants.append(example(tmp_path, test="t.py::uncompiled", jit=False))
-    assert SCRIPT.passing(tmp_path, mutants, True) == {"t.py::whole", "t.py::case[a]"}
+    found, last = SCRIPT.passing(tmp_path, mutants, True)
+    assert found == {"t.py::whole", "t.py::case[a]"} and last == "SKIPPED [1] t.py:9: no data"
     assert asked == [["-rA", *sorted(tests)]]
