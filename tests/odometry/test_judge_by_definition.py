@@ -117,3 +117,68 @@ def test_three_points_are_a_surface_and_two_are_none() -> None:
     found = judge._planar_sums(cloud(points).sorted, points, 1.0, 0.0, 0.0, 0.0, RADIUS)
     assert (found[0], found[4]) == (6, 1)
     assert found[2][1, 1] == pytest.approx(1.0) and found[3] == pytest.approx(np.hypot(0.15, 1.0))
+
+
+# --- in space
+
+
+def in_space(source: Array, target: Array, radius: float, neighbours: int) -> Array | None:
+    """The matrix (6, 6) of source points on a target point each, with normals of so many nearest
+    neighbours within the radius; None with fewer than three."""
+    rows, places = [], []
+    for point in source:
+        distance = np.linalg.norm(target - target[((target - point) ** 2).sum(1).argmin()], axis=1)
+        near = [i for i in np.argsort(distance)[:neighbours] if distance[i] < radius]
+        if len(near) >= 3:
+            normal = np.linalg.eigh(np.cov(target[near].T))[1][:, 0]
+            rows.append([*normal, *np.cross(point, normal)])
+            places.append(point)
+    if len(rows) < 3:
+        return None
+    j = np.array(rows)
+    j[:, 3:] /= np.sqrt((np.array(places) ** 2).sum(axis=1).mean())
+    return j.T @ j / len(j)
+
+
+def rough_wall(count: int) -> Array:
+    """Points (count, 3) of a wall of 2 m by 2 m with a roughness of 0.1 m."""
+    random = np.random.default_rng(count)
+    return random.uniform(-1.0, 1.0, (count, 3)) * [1.0, 1.0, 0.1] + [0.5, 0.0, 2.0]
+
+
+@pytest.mark.parametrize("count", [8, 60, 180])
+@pytest.mark.parametrize("radius", [0.4, 5.0])
+def test_localizability_in_space_by_definition(count: int, radius: float) -> None:
+    """Of all points within the radius, but at most of the 20 nearest."""
+    points = rough_wall(count)
+    expected = in_space(points, points, radius, 20)
+    both = cloud(points, planar=False)
+    held = evaluate(both, both, np.eye(4), radius).localizability
+    assert (held is None) == (expected is None)
+    if held is not None and expected is not None:
+        np.testing.assert_allclose(held.matrix, expected, atol=1e-9)
+
+
+TRIPLE = np.array([[0.0, 0.0, 1.0], [0.1, 0.0, 1.0], [0.0, 0.1, 1.0]])
+"""Three points of a plane z = 1, all within 0.2 m."""
+
+
+def test_three_matches_of_three_points_are_enough_in_space() -> None:
+    """Each has the other two around it; of two matches nothing can be said, nor of two points."""
+    far = TRIPLE + np.array([50.0, 0.0, 0.0])
+    target = cloud(TRIPLE, planar=False)
+    held = evaluate(target, target, np.eye(4), 0.2).localizability
+    assert held is not None
+    np.testing.assert_allclose(held.matrix[:3, :3], np.diag([0.0, 0.0, 1.0]), atol=1e-12)
+    some = cloud(np.concatenate([TRIPLE[:2], far[2:]]), planar=False)
+    assert evaluate(some, target, np.eye(4), 0.2).localizability is None
+    assert evaluate(target, some, np.eye(4), 0.2).localizability is None
+
+
+def test_three_matches_of_three_points_are_enough_in_the_plane() -> None:
+    points = np.array([[0.0, 1.0, 0.0], [0.1, 1.0, 0.0], [0.2, 1.0, 0.0]])
+    target = cloud(points)
+    held = evaluate(target, target, np.eye(4), RADIUS).localizability
+    assert held is not None and held.matrix[1, 1] == pytest.approx(1.0)
+    away = cloud(points + np.array([[0, 0, 0], [0, 0, 0], [0, 50, 0]]))
+    assert evaluate(away, target, np.eye(4), RADIUS).localizability is None

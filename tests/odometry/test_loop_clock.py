@@ -6,7 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
-from loop_helpers import NAN, Perfect, Script, drive, method
+from loop_helpers import NAN, Pair, Perfect, Script, drive, method
 
 from rbtm_bench.backends.base import Prepared
 from rbtm_bench.check.base import Check
@@ -91,8 +91,10 @@ class SlowToPrepare(Perfect):
 class SlowScores(Script):
     """Takes 0.5 s to describe a scan and 0.125 s to compare one with a window."""
 
-    def __init__(self, clock: Clock) -> None:
-        super().__init__(otherwise=0.9)
+    def __init__(
+        self, clock: Clock, table: dict[Pair, float] | None = None, otherwise: float = 0.9
+    ) -> None:
+        super().__init__(table, otherwise)
         self.clock = clock
 
     def describe(self, scan: Scan) -> Array:
@@ -139,7 +141,25 @@ def test_without_a_setting_the_patience_is_what_the_window_counts() -> None:
     """4, the new scan included: 3, 4, 5 and 6 are left out."""
     steps, _ = drive_into_a_new_place()
     assert [step.record.scan for step in steps if step.record.restart] == [7]
-    assert Rbtm(4).patience == 4 and Rbtm(4, restart_after=2).patience == 2
+    assert [Rbtm(4, restart_after=n).patience for n in (None, 2, 1, 0)] == [4, 2, 1, 1]
+
+
+def test_a_restart_s_row_tells_of_both_choices(clock: Clock) -> None:
+    """Scan 4 looks like 0, which is refused, and like 3, which was left out: two candidates of two
+    windows, three scores of which one is undefined, and the time of both."""
+    table = {(0, 1): 0.9, (0, 4): 0.9, (3, 4): 0.9}
+    selector = Rbtm(3, threshold=0.5, fallback="skip", restart_after=2)
+    used = method(Perfect(lost=[(0, 4)]), selector, SlowScores(clock, table, NAN))
+    row = list(odometry(drive(5), used))[4].record
+    assert (row.restart, row.model, row.registrations, row.rejected) == (True, 3, 2, 1)
+    assert (row.candidates, row.undefined_scores, row.t_select_s) == (2, 1, 0.25)
+
+
+def test_a_refused_registration_tells_how_much_of_the_guess_it_kept() -> None:
+    used = replace(method(Perfect(lost=[(0, 1)])), guess_along_degenerate=0.01)
+    first, refused, good = list(odometry(drive(3), used))
+    assert (refused.record.status, refused.record.kept_guess) == ("predicted", 0)
+    assert (first.record.kept_guess, good.record.kept_guess) == (None, 0)
 
 
 def test_scans_left_out_are_counted_in_a_row() -> None:

@@ -70,6 +70,7 @@ def test_intervals_repeat_to_the_bit() -> None:
 def test_excludes() -> None:
     assert Interval(2.0, 1.0, 3.0, 9).excludes(0.0) and Interval(-2.0, -3.0, -1.0, 9).excludes(0.0)
     assert not Interval(2.0, 0.0, 3.0, 9).excludes(0.0)
+    assert not Interval(-2.0, -3.0, 0.0, 9).excludes(0.0)
     assert not Interval(2.0, None, None, 2).excludes(0.0)
 
 
@@ -85,6 +86,14 @@ def test_copies_within_a_cluster_say_nothing_new() -> None:
     assert (many.low, many.high) == pytest.approx((1 / 6, 5 / 6))  # as the mean of six above
     naive = interval(np.repeat(SIX, 10), "mean")
     assert naive.low is not None and naive.low > 0.3  # what resampling relations would claim
+
+
+def test_clusters_of_one_relation_are_as_independent_values() -> None:
+    """Skewed ones, whose interval the acceleration moves up."""
+    values = np.array([1.0, 1, 1, 1, 1, 1, 1, 1, 1, 21])
+    found, alone = cluster_interval(values, np.arange(10), np.zeros(10)), interval(values, "mean")
+    assert (found.value, found.n) == (alone.value, alone.n)
+    assert (found.low, found.high) == pytest.approx((alone.low, alone.high))
 
 
 def test_strata_keep_their_shares() -> None:
@@ -213,6 +222,7 @@ def test_ties_stay_exact() -> None:
 
 def test_pairs_without_a_difference_are_dropped() -> None:
     assert signed_rank([0, 1, 2, 3, 4, 5]) == 2 / 32
+    assert signed_rank(range(15)) == 2 / 2**14  # exact, as without the 0
     assert signed_rank([0.0] * 8) is None  # the same thing by two names
 
 
