@@ -175,7 +175,7 @@ class Verdict:
     @property
     def line(self) -> str:
         """Its row of the table."""
-        row = f"{self.mutant.name:24} {self.outcome:9} {self.seconds:5.1f} s  {self.mutant.test}"
+        row = f"{self.mutant.name:25} {self.outcome:9} {self.seconds:5.1f} s  {self.mutant.test}"
         return "\n    ".join(filter(None, [row, self.said]))
 
 
