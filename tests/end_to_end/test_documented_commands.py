@@ -20,7 +20,7 @@ COMMAND = re.compile(
     r"(rbtm-bench|python scripts/|python -m rbtm_bench|(bash )?scripts/\w+\.sh|pytest) ?"
 )
 
-ELSEWSMALL_ENOUGH = {
+ELSEWHERE = {
     "bash scripts/demo.sh": "end_to_end/test_setup.py",
     "bash scripts/test.sh": "end_to_end/test_setup.py",
     "scripts/test.sh": "end_to_end/test_setup.py",
@@ -34,6 +34,7 @@ ELSEWSMALL_ENOUGH = {
     "python scripts/benchmarks/kill_sweep.py": "engine/test_stopped_sweeps.py",
     "python scripts/benchmarks/bench_": "end_to_end/test_documented_commands.py",
     "python scripts/benchmarks/nothing_matches.py": "odometry/test_nothing_matches.py",
+    "python scripts/mutants.py": "end_to_end/test_mutants.py",
     "python -m rbtm_bench.contract": "end_to_end/test_plugins.py",
     "rbtm-bench compare backend=open3d_p2p,my_icp": "end_to_end/test_plugins.py",
     "rbtm-bench list backend --config-dir": "end_to_end/test_plugins.py",
@@ -79,14 +80,13 @@ BARE = re.compile(r"rbtm-bench( \w+| table --\w+)?$")
 SMALL_ENOUGH = [
     command
     for command in SHOWN
-    if not command.startswith(tuple(ELSEWSMALL_ENOUGH))
-    and not (BARE.match(command) and " " in command)
+    if not command.startswith(tuple(ELSEWHERE)) and not (BARE.match(command) and " " in command)
 ] + ["rbtm-bench run", "rbtm-bench list", "rbtm-bench doctor", "rbtm-bench calibrate"]
 
 
-@pytest.mark.parametrize("start", ELSEWSMALL_ENOUGH)
+@pytest.mark.parametrize("start", ELSEWHERE)
 def test_the_tests_of_other_commands_exist_and_the_commands_are_shown(start: str) -> None:
-    path = TESTS / ELSEWSMALL_ENOUGH[start]
+    path = TESTS / ELSEWHERE[start]
     names = [
         n.name for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.FunctionDef)
     ]

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from rbtm_bench.core.geometry import se2, se3
 from rbtm_bench.core.trajectory import Trajectory
-from rbtm_bench.metrics.ape import Ape
+from rbtm_bench.metrics.ape import Ape, is_collinear
 
 NOTHING = {"ape_rmse_m": None, "ape_mean_m": None, "ape_max_m": None}
 
@@ -49,6 +49,18 @@ def test_umeyama_of_a_straight_path_does_not_exist(planar, theta, length):
     estimate = planar([(t, 0.1 * np.sin(9 * t), 0) for t in np.linspace(0, 1, 50)])
     assert Ape("umeyama").evaluate(estimate, truth) == NOTHING
     assert Ape("origin").evaluate(estimate, truth)["ape_rmse_m"] is not None
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e6])
+def test_a_path_is_straight_by_its_shape_whatever_its_size(planar, size):
+    """A bend of 1e-8 of the length is none (of both paths: 1e-16), one of a tenth is a bend."""
+    share = np.linspace(0.0, 1.0, 20)
+    bent, hardly = (
+        planar([(size * t, size * bend * t**2, 0) for t in share]).T_world_scan
+        for bend in (0.1, 1e-8)
+    )
+    assert not is_collinear(bent, bent)
+    assert is_collinear(hardly, hardly)
 
 
 def test_umeyama_without_motion_does_not_exist(planar):

@@ -77,6 +77,15 @@ def test_travel_below_the_setting_has_no_direction_but_a_drift(planar):
     )
 
 
+def test_travel_of_exactly_the_setting_has_a_direction(planar):
+    """The last way of 0.5 m goes up; the way before it, which is farther from the end, does not."""
+    truth = planar([(0, 0, 0), (4, 0, 0), (4, 0.5, 0)])
+    estimate = planar([(0, 0, 0), (4, 0, 0), (4, 0.75, 0)])
+    values = FinalPose(travel_m=0.5).evaluate(estimate, truth)
+    assert values["final_along_mm"] == pytest.approx(250.0)
+    assert values["final_cross_mm"] == pytest.approx(0.0, abs=1e-9)
+
+
 def test_out_of_the_plane_cross_is_the_norm_of_the_remainder():
     truth = Trajectory(np.arange(2.0), np.array([np.eye(4), se3([0, 0, 2], np.eye(3))]))
     estimate = Trajectory(np.arange(2.0), np.array([np.eye(4), se3([-0.3, 0.4, 2.1], np.eye(3))]))

@@ -44,3 +44,19 @@ def test_restarts_are_counted() -> None:
 
 def test_an_unusable_first_scan_is_no_skip() -> None:
     assert summarise_steps([StepRecord(0, 0.0, status="unusable")])["longest_skip"] == 0
+
+
+def test_what_registrations_hold_is_told_by_the_middle_one_and_by_who_is_below() -> None:
+    """Of 0.002, 0.01, 0.04 and 0.5 the median is 0.025, and one is less than 0.01; what was not
+    registered does not count."""
+    held = [0.5, 0.002, 0.04, 0.01]
+    records = [StepRecord(0, 0.0, localizability_min=0.3)]
+    records += [
+        StepRecord(i, 0.1 * i, status="registered", localizability_min=value, gap=i, fitness=0.5)
+        for i, value in enumerate(held, start=1)
+    ]
+    records.append(StepRecord(5, 0.5, status="predicted", localizability_min=0.001, gap=99))
+    values = summarise_steps(records)
+    assert values["localizability"] == pytest.approx(0.025)
+    assert values["degenerate"] == 1 / 4
+    assert (values["mean_gap"], values["mean_fitness"], values["coverage"]) == (2.5, 0.5, 4 / 5)

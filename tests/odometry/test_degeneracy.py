@@ -112,6 +112,14 @@ def test_a_motion_that_is_seen_everywhere_stays_bit_for_bit() -> None:
     assert (unseen(good, DEGENERATE), unseen(good, 0.3), unseen(unknown, 0.3)) == (0, 1, 0)
 
 
+def test_what_is_held_just_as_much_as_asked_is_seen() -> None:
+    """Of 0.125, 0.25 and 0.5 at a threshold of 0.25: x alone is the guess's."""
+    found = result(se2(0.4, 0.3, 0.0), np.diag([0.125, 0.25, 0.5]))
+    assert unseen(found, 0.25) == 1
+    T = remap(found, np.eye(4), 0.25).T_target_source
+    np.testing.assert_allclose(T, se2(0.0, 0.3, 0.0), atol=1e-12)
+
+
 @given(st.lists(st.floats(0, 1), min_size=6, max_size=6), st.integers(0, 2**32 - 1))
 def test_remapping_in_space_gives_a_motion(values: list[float], seed: int) -> None:
     random = np.random.default_rng(seed)

@@ -248,3 +248,13 @@ def test_random_gap_runs_of_different_sources_are_different_methods(tmp_path: Pa
         "gaps of rbtm window=8 threshold=0.5",
     ]
     assert drawn_rows["seeds"].tolist() == [2, 2]
+
+
+def test_a_number_over_seeds_is_the_median_of_those_that_have_it(tmp_path: Path) -> None:
+    """Of 1, 2, 90 it is 2 (and not 31); of 4, 10 it is 7; of three runs one has no such number."""
+    for seed, (ape, rpe) in enumerate([(90.0, 10.0), (1.0, None), (2.0, 4.0)]):
+        metrics = {"ape_rmse_m": ape, "rpe_translation_rmse_m": rpe}
+        make_run(tmp_path / str(seed), seed, metrics=metrics)
+    (row,) = frame.over_seeds(stored.find_runs([tmp_path])).to_dict("records")
+    assert (row["ape_rmse_m"], row["rpe_translation_rmse_m"]) == (2.0, 7.0)
+    assert (row["seeds"], row["status"]) == (3, "done")

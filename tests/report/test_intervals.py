@@ -70,6 +70,7 @@ def test_intervals_repeat_to_the_bit() -> None:
 def test_excludes() -> None:
     assert Interval(2.0, 1.0, 3.0, 9).excludes(0.0) and Interval(-2.0, -3.0, -1.0, 9).excludes(0.0)
     assert not Interval(2.0, 0.0, 3.0, 9).excludes(0.0)
+    assert not Interval(-2.0, -3.0, 0.0, 9).excludes(0.0)
     assert not Interval(2.0, None, None, 2).excludes(0.0)
 
 
@@ -87,12 +88,29 @@ def test_copies_within_a_cluster_say_nothing_new() -> None:
     assert naive.low is not None and naive.low > 0.3  # what resampling relations would claim
 
 
+def test_clusters_of_one_relation_are_as_independent_values() -> None:
+    """Skewed ones, whose interval the acceleration moves up."""
+    values = np.array([1.0, 1, 1, 1, 1, 1, 1, 1, 1, 21])
+    found, alone = cluster_interval(values, np.arange(10), np.zeros(10)), interval(values, "mean")
+    assert (found.value, found.n) == (alone.value, alone.n)
+    assert (found.low, found.high) == pytest.approx((alone.low, alone.high))
+
+
 def test_strata_keep_their_shares() -> None:
     # Half of the relations are local and have no error at all: the mean is half that of the rest.
     errors = np.concatenate([np.zeros(6), SIX])
     estimate = cluster_interval(errors, np.arange(12), np.repeat([True, False], 6))
     assert (estimate.value, estimate.n) == (0.25, 12)
     assert (estimate.low, estimate.high) == pytest.approx((1 / 12, 5 / 12))
+
+
+def test_strata_of_unequal_shares_keep_them() -> None:
+    # 18 of 24 relations are local and have no error: however many of the long ones' clusters are
+    # drawn, the mean is a quarter of theirs, and so are the ends of the interval.
+    errors = np.concatenate([np.zeros(18), SIX])
+    found = cluster_interval(errors, np.arange(24), np.repeat([True, False], [18, 6]))
+    assert (found.value, found.n) == (0.125, 24)
+    assert (found.low, found.high) == pytest.approx((1 / 24, 5 / 24))
 
 
 def test_a_large_cluster_weighs_by_its_relations() -> None:
@@ -204,6 +222,7 @@ def test_ties_stay_exact() -> None:
 
 def test_pairs_without_a_difference_are_dropped() -> None:
     assert signed_rank([0, 1, 2, 3, 4, 5]) == 2 / 32
+    assert signed_rank(range(15)) == 2 / 2**14  # exact, as without the 0
     assert signed_rank([0.0] * 8) is None  # the same thing by two names
 
 

@@ -46,6 +46,15 @@ def test_a_log_is_one_data_set_however_often_it_was_run(tmp_path: Path) -> None:
     assert numbers(row, MM) == (3.5, None, None, 1) and row["rank"] is None
 
 
+def test_several_runs_on_the_same_data_are_their_median(tmp_path: Path) -> None:
+    """Three data sets of three runs each: the medians 2, 3 and 4, whose median is 3."""
+    for seed, error in enumerate([1, 2, 90, 3, 50, 2, 4, 4, 40]):
+        place = {"fingerprint": f"data {seed // 3}"}
+        make_run(tmp_path / str(seed), "random_gap", {MM: float(error)}, seed=seed, **place)
+    (row,) = rows_of(tmp_path)
+    assert numbers(row, MM) == (3.0, 2.0, 4.0, 3)
+
+
 def test_failed_seeds_are_no_values(tmp_path: Path) -> None:
     make_seeds(tmp_path, "previous", [1, None, 3, 2])
     make_seeds(tmp_path, "rbtm", [None, None], window=4)

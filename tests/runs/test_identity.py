@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -13,6 +14,7 @@ from rbtm_bench.core.kinds import Kind
 from rbtm_bench.report import frame
 from rbtm_bench.runs import stored
 from rbtm_bench.runs.grid import make_points
+from rbtm_bench.runs.identity import Identity
 from rbtm_bench.runs.settings import compose_settings
 
 SHORT = ("dataset.scans=8", "dataset.beams=91")
@@ -109,6 +111,29 @@ def test_the_same_run_the_same_method_the_same_data() -> None:
     assert base.way == longer.way and base.dataset != longer.dataset
     # a value that plug-ins take over counts where it stands again
     assert base.method != one("selector=rbtm", "registration.max_correspondence_distance=1").method
+
+
+def test_a_method_s_way_leaves_out_the_data_and_its_name() -> None:
+    """The choice of data set and its settings are in ``dataset``, all others in ``way``."""
+    choices = {"dataset": "corridor", "backend": "p2p"}
+    one = Identity({"backend.radius": 0.3}, {"dataset.scans": 8}, {}, choices)
+    log = replace(one, choices={**choices, "dataset": "carmen"}, data={"dataset.path": "a.clf"})
+    assert one.way == log.way and one.dataset != log.dataset and one.method != log.method
+    other = replace(one, choices={**choices, "backend": "gicp"})
+    wider = replace(one, what={"backend.radius": 0.5})
+    assert len({one.way, other.way, wider.way}) == 3
+    assert one.dataset == other.dataset == wider.dataset
+    seeded = replace(one, seed={"dataset.seed": 3})
+    assert one.method == seeded.method and one.run != seeded.run
+
+
+def test_idle_names_are_whole_names() -> None:
+    """An idle setting takes those below it along, and none whose name only begins like it."""
+    config = {"selector": {"key": 1, "keys": 2, "deep": {"er": 3, "est": 4}, "deeper": 5}}
+    found = Identity.of({"selector": "mine"}, config, {}, ["selector.key", "selector.deep"])
+    assert found.what == {"selector.keys": 2, "selector.deeper": 5}
+    assert found.choices == {"selector": "mine"}
+    assert Identity.of({"selector": "mine"}, config, {}, ["selector"]).choices == {}
 
 
 def test_a_list_of_similarities_is_labelled_by_its_names(tmp_path: Path) -> None:

@@ -54,6 +54,11 @@ def test_fixed_gap_takes_the_nearest_where_a_scan_is_missing() -> None:
     assert chosen(FixedGap(3), drive(7), left_out={2}) == [0, 0, 0, 1, 1, 3]
 
 
+def test_fixed_gap_takes_neither_the_oldest_nor_the_newest_where_more_are_missing() -> None:
+    """Scan 6 wants 3: of 1, 2 and 5 the nearest is 2; scan 7 wants 4: of 2, 5 and 6 it is 5."""
+    assert chosen(FixedGap(3), drive(8), left_out={3, 4}) == [0, 0, 0, 1, 2, 2, 5]
+
+
 def test_oldest_is_the_oldest_of_the_window() -> None:
     assert chosen(Oldest(window=4), drive(7)) == [0, 0, 0, 1, 2, 3]
 

@@ -1,0 +1,91 @@
+"""What is kept in memory and handed out again: within its bound, and what was asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from loop_helpers import Perfect, drive
+
+from rbtm_bench.core.types import Array, Scan
+from rbtm_bench.datasets.base import Dataset
+from rbtm_bench.odometry import judge
+from rbtm_bench.pairs.shared import Bounded, KnownRegistrations, KnownScores
+from rbtm_bench.similarity.base import Similarity
+
+# --- memory
+
+
+def test_an_item_larger_than_the_bound_is_kept_alone() -> None:
+    """Whoever puts it asks for it next; everything older goes, and it goes with the next one."""
+    bounded: Bounded[str] = Bounded(100)
+    bounded.put("a", "small", 30)
+    assert bounded.put("b", "large", 500) == "large"
+    assert bounded.get("b") == "large" and bounded.get("a") is None
+    assert (len(bounded), bounded.used) == (1, 500)
+    bounded.put("c", "small", 30)
+    assert bounded.get("b") is None and bounded.get("c") == "small"
+    assert (len(bounded), bounded.used) == (1, 30)
+
+
+def test_the_bound_itself_is_not_beyond_it() -> None:
+    bounded: Bounded[int] = Bounded(90)
+    for item in range(3):
+        bounded.put(item, item, 30)
+    assert len(bounded) == 3
+    assert bounded.get(0) == 0  # now 1 is the one not used for longest
+    bounded.put(3, 3, 1)
+    assert [bounded.get(item) for item in range(4)] == [0, None, 2, 3]
+    assert bounded.used == 61
+
+
+# --- scores
+
+
+class Apart(Similarity):
+    """The score of scans i < j is 1 / (10 i + j): every pair has its own."""
+
+    def describe(self, scan: Scan) -> Array:
+        return np.array([float(scan.index)])
+
+    def scores(self, window: Array, descriptor: Array) -> Array:
+        return 1.0 / (10.0 * window[:, 0] + descriptor[0])
+
+
+class Drive(Dataset):
+    """Ten scans."""
+
+    def fingerprint(self) -> str:
+        return "ten scans"
+
+    def __len__(self) -> int:
+        return 10
+
+    def __getitem__(self, index: int) -> Scan:
+        return drive(1, first=range(10)[index])[0]
+
+
+@pytest.mark.parametrize("width", [0, 3, 9])
+@pytest.mark.parametrize("models", [[4, 5, 6], [6], [3, 4, 5], [1, 2, 3], [2, 4, 6], [0, 6]])
+def test_known_scores_are_those_of_the_window_oldest_first(width: int, models: list[int]) -> None:
+    """Of scan 7; from the band where it reaches, and computed where it does not, or with gaps."""
+    known = KnownScores(Apart(), Drive())
+    known.widen(width)
+    scores, seconds = known.scores(np.array(models)[:, None], np.array([7]))
+    assert scores.tolist() == [1.0 / (10 * model + 7) for model in models]
+    assert seconds >= 0.0
+
+
+# --- registrations
+
+
+def test_a_registration_is_made_once_and_says_when_it_is_handed_out_again() -> None:
+    backend = Perfect()
+    known = KnownRegistrations(backend, None, b"context", Bounded(1e9), Bounded(1e9))
+    first, second = (known.prepare(scan)[0] for scan in drive(2))
+    once, again = (known.register(second, first, np.eye(4)) for _ in range(2))
+    assert (once.reused, again.reused) == (False, True)
+    assert again.T_target_source is once.T_target_source and again.seconds == once.seconds
+    other = known.register(second, first, np.diag([1.0, -1.0, -1.0, 1.0]))
+    assert not other.reused and backend.tried == [(0, 1), (0, 1)]
+    plain = judge.register(backend, second, first, np.eye(4))
+    np.testing.assert_array_equal(plain.T_target_source, once.T_target_source)
