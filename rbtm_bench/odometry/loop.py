@@ -143,6 +143,9 @@ def _register(
         return None
     with _timed(record, "t_select_s"):
         which, reason = method.selector.pick(scan, accepted)
+    if not 0 <= which < len(accepted):
+        name = type(method.selector).__name__
+        raise ValueError(f"{name}.pick chose {which!r} of {len(accepted)} registrations")
     chosen = accepted[which]
     _record(record, chosen, reason, method.guess_along_degenerate)
     return _edge(chosen.model, scan, chosen.result, method.selector)

@@ -5,6 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
 
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.check.base import Check
@@ -61,7 +64,8 @@ class Work:
             scores = similarity.scores(window, descriptor)
         else:
             scores = similarity.scores_under(window, descriptor, motions)
-        return scores, time.perf_counter() - started
+        seconds = time.perf_counter() - started
+        return checked_scores(similarity, scores, (len(window),)), seconds
 
     def predict(self, model: Node, scan: Scan, recent: Sequence[Node]) -> Array:
         """The guess of T_model_scan (4, 4)."""
@@ -72,3 +76,14 @@ class Work:
     ) -> RegistrationResult:
         """The judged registration of a pair. Raises ``BackendError`` if it cannot be done."""
         return judge.register(self.method.backend, source, target, T_target_source)
+
+
+def checked_scores(similarity: Similarity, scores: Any, shape: tuple[int, ...]) -> Array:
+    """Scores as a similarity may give them: real numbers, finite or NaN. Raises ``ValueError``."""
+    name = type(similarity).__name__
+    if np.shape(scores) != shape or np.iscomplexobj(scores):
+        raise ValueError(f"{name}: scores of shape {np.shape(scores)}: expected real ones, {shape}")
+    checked = np.asarray(scores, dtype=np.float64)
+    if np.isinf(checked).any():
+        raise ValueError(f"{name}: a score is infinite: expected finite numbers, or NaN")
+    return checked

@@ -20,7 +20,7 @@ from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.datasets.base import Dataset, Relations
 from rbtm_bench.odometry import judge
-from rbtm_bench.odometry.method import Method, Work
+from rbtm_bench.odometry.method import Method, Work, checked_scores
 from rbtm_bench.pairs.codec import pair_key
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.similarity.base import Descriptor, Similarity
@@ -184,7 +184,8 @@ class KnownScores:
         if self._similarity.needs_guess or width <= self._band.shape[1]:
             return
         started = time.perf_counter()
-        self._band = self._similarity.band(self._descriptors, width + 1)
+        band = self._similarity.band(self._descriptors, width + 1)
+        self._band = checked_scores(self._similarity, band, (len(self._descriptors), width))
         self._score_seconds = (time.perf_counter() - started) / self._band.size
 
     def describe(self, scan: Scan) -> tuple[Descriptor, float]:
@@ -206,7 +207,8 @@ class KnownScores:
             scores = self._similarity.scores_under(past, now, motions)
         else:
             scores = self._similarity.scores(past, now)
-        return scores, time.perf_counter() - started
+        seconds = time.perf_counter() - started
+        return checked_scores(self._similarity, scores, (len(window),)), seconds
 
 
 class SharedWork(Work):

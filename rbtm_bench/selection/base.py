@@ -114,6 +114,14 @@ class Selector(ABC):
     ) -> Selection:
         """Candidates out of positions with reasons, and the fallback."""
         numbers, values = models.tolist(), scores.tolist()
+        for i, _ in tried:
+            if (
+                isinstance(i, bool)
+                or not isinstance(i, int | np.integer)
+                or not 0 <= i < len(numbers)
+            ):
+                name = type(self).__name__
+                raise ValueError(f"{name} chose position {i!r} in a window of {len(numbers)}")
         chosen = [Candidate(numbers[i], values[i], why) for i, why in tried]
         last = self._fallback(scores)
         if last is not None and last not in [i for i, _ in tried]:
