@@ -14,7 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from rbtm_bench.backends.base import MIN_POINTS
+from rbtm_bench.backends.base import MIN_POINTS, PROGRAMMING_ERRORS
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import is_rigid, to_plane
 from rbtm_bench.core.types import Array, Scan
@@ -48,7 +48,8 @@ class Tracker(ABC):
         """Place the next scan of the sequence; a planar one in the plane.
 
         Raises ``BackendError``, and goes on with the next scan as if this one had not come, for
-        points that are not finite or fewer than 6, or if the library fails.
+        points that are not finite or fewer than 6, or if the library fails. What a wrong plug-in raises
+        (``PROGRAMMING_ERRORS``) comes out as it is.
         """
         points = np.array(scan.points, dtype=np.float64, order="C")  # the scan's stay as they are
         if points.ndim != 2 or points.shape[1] != 3:
@@ -64,6 +65,8 @@ class Tracker(ABC):
             placed, converged = self.place(points, scan.planar)
         except BackendError as error:
             raise BackendError(f"scan {scan.index}: {error}") from error
+        except PROGRAMMING_ERRORS:
+            raise
         except Exception as error:
             name = type(self).__name__
             raise BackendError(f"{name}: {type(error).__name__}: {error}") from error

@@ -87,21 +87,42 @@ def test_the_order_of_registrations_does_not_matter(
     )
 
 
+def bad_clouds(good: Array) -> dict[str, Array]:
+    """Points that nothing can be registered with."""
+    unknown, infinite = good.copy(), good.copy()
+    unknown[7, 1], infinite[3, 0] = np.nan, np.inf
+    return {"none": good[:0], "one": good[:1], "not a number": unknown, "infinite": infinite}
+
+
 def test_what_the_base_class_guarantees_is_not_replaced(
     backend: Backend, scans: list[Scan]
 ) -> None:
     """Checked input, the plane, no silent guess, symmetric information: tests/backends/test_base.py
     holds the base class to them, and so every plug-in that leaves ``register`` alone."""
     name = type(backend).__name__
-    assert type(backend).register is Backend.register, (
+    own = type(backend).register is not Backend.register or "register" in vars(backend)
+    assert not own, (
         f"{name} replaces register(), and with it what every backend guarantees: write align()"
     )
     prepared = backend.prepare(scans[0])
-    assert isinstance(prepared, Prepared), f"{name}.prepare() returns {type(prepared).__name__}"
-    assert prepared.points.dtype == np.float64 and np.isfinite(prepared.points).all()
-    assert prepared.planar is scans[0].planar, "prepare() lost whether the scan is planar"
-    if scans[0].planar:
-        assert not prepared.points[:, 2].any(), "prepare() moved planar points out of z = 0"
+    clouds = {"prepare": prepared, "merge": backend.merge([(prepared, np.eye(4))])}
+    for method, cloud in clouds.items():
+        assert isinstance(cloud, Prepared), f"{name}.{method}() returns {type(cloud).__name__}"
+        points = cloud.points
+        sound = points.ndim == 2 and points.shape[1] == 3 and points.dtype == np.float64
+        assert sound and np.isfinite(points).all(), (
+            f"{name}.{method}() gives {points.dtype} points of shape {points.shape}: expected "
+            "finite float64, (N, 3)"
+        )
+        assert cloud.planar is scans[0].planar, f"{method}() lost whether the scan is planar"
+        if scans[0].planar:
+            assert not points[:, 2].any(), f"{method}() moved planar points out of z = 0"
+    if type(backend).prepare is not Backend.prepare:
+        for what, bad in bad_clouds(scans[0].points).items():
+            scan = replace(scans[0], points=bad, ranges=None, angles=None)
+            with pytest.raises(BackendError):
+                backend.prepare(scan)
+                pytest.fail(f"{name}.prepare() takes a scan of points that are {what}")
 
 
 @pytest.mark.parametrize("side", ["source", "target"])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from loop_helpers import Perfect, drive, method
 
-from rbtm_bench.backends.base import PROGRAMMING_ERRORS, Alignment, Backend, Prepared
+from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.contract.scene import WORLDS, World, rotation
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import se2, se3, transform
@@ -145,7 +145,9 @@ def test_points_that_cannot_be_registered(scans: list[Scan], kind: str) -> None:
     assert scans[0].points.tobytes() == before
 
 
-@pytest.mark.parametrize("error", PROGRAMMING_ERRORS)
+@pytest.mark.parametrize(
+    "error", [AttributeError, KeyError, NameError, NotImplementedError, TypeError, ImportError]
+)
 def test_a_programming_error_is_no_failed_registration(
     pair: tuple[Prepared, Prepared], error: type[Exception]
 ) -> None:
