@@ -48,8 +48,8 @@ class Tracker(ABC):
         """Place the next scan of the sequence; a planar one in the plane.
 
         Raises ``BackendError``, and goes on with the next scan as if this one had not come, for
-        points that are not finite or fewer than 6, or if the library fails. What a wrong plug-in raises
-        (``PROGRAMMING_ERRORS``) comes out as it is.
+        points that are not finite or fewer than 6, or if the library fails. What a wrong plug-in
+        raises (``PROGRAMMING_ERRORS``) comes out as it is.
         """
         points = np.array(scan.points, dtype=np.float64, order="C")  # the scan's stay as they are
         if points.ndim != 2 or points.shape[1] != 3:
