@@ -270,7 +270,7 @@ from test_crew import settings
 from rbtm_bench.engine.crew import Supervisor
 
 supervisor = Supervisor()
-supervisor.call(divmod, 1, 1)
+supervisor.call(divmod, 1, 1, serves=frozenset({{"moody_backend"}}))
 Path({out!r}, "pid").write_text(str(supervisor.pid))
 supervisor.run("a", settings({how!r}), Path({out!r}, "run"))
 """
