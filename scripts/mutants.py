@@ -149,34 +149,34 @@ def passing(root: Path, mutants: Sequence[Mutant], jit: bool) -> tuple[set[str],
     tests = sorted({mutant.test for mutant in mutants if mutant.jit == jit})
     if not tests:
         return set(), ""
-    _, said = run_tests(root, ["-rA", *tests], jit, ALL_LIMIT_S)
+    _, output = run_tests(root, ["-rA", *tests], jit, ALL_LIMIT_S)
     outcomes: dict[str, set[str]] = {}
-    for line in said.splitlines():
+    for line in output.splitlines():
         match = OUTCOME.match(line)
         if match:
             for test in {match[2], match[2].partition("[")[0]}:
                 outcomes.setdefault(test, set()).add(match[1])
-    return {test for test in tests if outcomes.get(test) == {"PASSED"}}, _last_line(said)
+    return {test for test in tests if outcomes.get(test) == {"PASSED"}}, _last_line(output)
 
 
-def _last_line(said: str) -> str:
-    return (said.strip().splitlines() or ["nothing said"])[-1]
+def _last_line(output: str) -> str:
+    return (output.strip().splitlines() or ["no output"])[-1]
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a mutant, after how long, and, unless it was killed, what pytest said."""
+    """What became of a mutant, after how long, and, unless it was killed, what pytest printed."""
 
     mutant: Mutant
     outcome: str
     seconds: float
-    said: str = ""
+    output: str = ""
 
     @property
     def line(self) -> str:
         """Its row of the table."""
         row = f"{self.mutant.name:25} {self.outcome:9} {self.seconds:5.1f} s  {self.mutant.test}"
-        return "\n    ".join(filter(None, [row, self.said]))
+        return "\n    ".join(filter(None, [row, self.output]))
 
 
 def judge(mutant: Mutant, root: Path) -> Verdict:
@@ -184,11 +184,11 @@ def judge(mutant: Mutant, root: Path) -> Verdict:
     kill: not one that could not be collected, nor one that never ended."""
     started = time.perf_counter()
     with changed(mutant, root):
-        code, said = run_tests(root, ["-x", mutant.test], mutant.jit, TIME_LIMIT_S)
+        code, output = run_tests(root, ["-x", mutant.test], mutant.jit, TIME_LIMIT_S)
     seconds = time.perf_counter() - started
     if code == FAILED:
         return Verdict(mutant, KILLED, seconds)
-    return Verdict(mutant, SURVIVED, seconds, f"pytest's exit code {code}: {_last_line(said)}")
+    return Verdict(mutant, SURVIVED, seconds, f"pytest's exit code {code}: {_last_line(output)}")
 
 
 def judge_all(mutants: Sequence[Mutant], roots: Sequence[Path]) -> Iterator[Verdict]:

@@ -1,4 +1,4 @@
-"""The plug-ins under test: found by name in the config groups, built as a run builds them."""
+"""The plug-ins under test: looked up by name in the config groups, built as a run builds them."""
 
 from __future__ import annotations
 
@@ -56,8 +56,8 @@ class Catalogue:
 
     def members(self, group: str, systems: bool = False) -> list[Member]:
         """Every member of a group; of the backends either those that register pairs, or systems."""
-        found = [Member(group, name) for name in _names(group, self.folders)]
-        return [m for m in found if group != "backend" or self._is_system(m) == systems]
+        every = [Member(group, name) for name in _names(group, self.folders)]
+        return [m for m in every if group != "backend" or self._is_system(m) == systems]
 
     def wants(self, member: Member) -> bool:
         """Whether this plug-in is to be tested."""
@@ -86,7 +86,7 @@ class Catalogue:
     def _is_system(self, member: Member) -> bool:
         try:
             return plugins.is_system({"backend": self.node(member)})
-        except ConfigError:  # told where it is to be built
+        except ConfigError:  # reported where it is built
             return False
 
     def _skip_without_packages(self, member: Member, node: dict[str, Any]) -> None:

@@ -43,10 +43,10 @@ def pytest_configure(config: pytest.Config) -> None:
     """Pin before any backend library is imported, and look up the plug-ins that are asked for."""
     if not hands_out_work(config):
         pin_to_free_core()
-    here = config.invocation_params.dir
+    folder_of_call = config.invocation_params.dir
     try:
         config.stash[CATALOGUE] = Catalogue.of_options(
-            [here / str(folder) for folder in config.getoption("config_dir", default=[])],
+            [folder_of_call / str(folder) for folder in config.getoption("config_dir", default=[])],
             config.getoption("plugin", default=[]),
             config.getoption("override", default=[]),
         )

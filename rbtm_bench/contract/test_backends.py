@@ -20,7 +20,7 @@ MOTIONS = ("still", "forward", "left", "turn", "curve", "from_far_guess")
 def register(
     backend: Backend, source: Scan, target: Scan, guess: Array | None = None
 ) -> RegistrationResult:
-    """Prepare both scans and register them, from no motion unless told otherwise."""
+    """Prepare both scans and register them, from no motion unless a guess is given."""
     prepared, model = backend.prepare(source), backend.prepare(target)
     return judge.register(backend, prepared, model, np.eye(4) if guess is None else guess)
 
@@ -58,16 +58,16 @@ def test_the_result_maps_source_points_into_the_target_frame(
     prepared, model = registers.prepare(source), registers.prepare(target)
     T = judge.register(registers, prepared, model, np.eye(4)).T_target_source
     radius = 0.1 if world.name == "3d" else 0.05
-    found, wrong, truth = (
+    fitness, wrong, truth = (
         evaluate(prepared, model, motion, radius)[0]
         for motion in (T, inverse(T), known.T_target_source)
     )
-    assert found > wrong, (
+    assert fitness > wrong, (
         f"the inverse of T_target_source fits better ({wrong:.2f} of the points) than "
-        f"T_target_source itself ({found:.2f}): is it T_source_target?"
+        f"T_target_source itself ({fitness:.2f}): is it T_source_target?"
     )
-    assert found >= 0.8 * truth, (
-        f"after T_target_source {found:.2f} of the source points lie within {radius} m of the "
+    assert fitness >= 0.8 * truth, (
+        f"after T_target_source {fitness:.2f} of the source points lie within {radius} m of the "
         f"target, after the true motion {truth:.2f}"
     )
 
@@ -91,9 +91,9 @@ def test_the_guess_is_where_the_search_starts(registers: Backend, world: World) 
 @pytest.mark.parametrize("motion", ["forward", "curve"])
 def test_forward_and_inverse_agree(registers: Backend, world: World, motion: str) -> None:
     source, target = world.pair(world.motions[motion], 0.005)
-    there = register(registers, source, target).T_target_source
+    forward = register(registers, source, target).T_target_source
     back = register(registers, target, source).T_target_source
-    assert_near(there @ back, np.eye(4), world, "register(a, b) @ register(b, a)")
+    assert_near(forward @ back, np.eye(4), world, "register(a, b) @ register(b, a)")
 
 
 def test_identical_clouds_stay_where_they_are(backend: Backend, world: World) -> None:

@@ -83,12 +83,14 @@ def predictions(guess: Guess, kind: str) -> list[tuple[int, int, Array]]:
     poses = drive(kind)
     nodes = [node_at(i, T) for i, T in enumerate(poses)]
     show(guess, poses, kind)
-    found = []
+    motions = []
     for i in range(1, len(poses)):
         recent = deque(nodes[:i], maxlen=2)
         for model in nodes[:i]:
-            found.append((model.scan, i, guess.predict(model, scan_at(i, poses[i], kind), recent)))
-    return found
+            motions.append(
+                (model.scan, i, guess.predict(model, scan_at(i, poses[i], kind), recent))
+            )
+    return motions
 
 
 @pytest.mark.parametrize("kind", ["2d", "3d"])

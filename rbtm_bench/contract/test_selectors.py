@@ -168,14 +168,14 @@ def test_fallback_skip_may_leave_a_scan_alone(catalogue: Catalogue, member: Memb
 
 def trials(selector: Selector, scan: int, models: list[int]) -> list[Trial]:
     """Accepted registrations to models, each off by as many mm as the scans lie apart."""
-    found = []
+    trials = []
     for model in models:
         off = se2(0.001 * (scan - model), 0, 0)
         T = inverse(se2(0.1 * model, 0, 0)) @ se2(0.1 * scan, 0, 0) @ off
         result = RegistrationResult(T, True, 0.9, 0.01, 3)
         candidate = Candidate(model, 0.9, "a candidate")
-        found.append(Trial(candidate, node_at(selector, model), result))
-    return found
+        trials.append(Trial(candidate, node_at(selector, model), result))
+    return trials
 
 
 def test_it_picks_one_of_what_was_accepted(selector: Selector) -> None:

@@ -77,8 +77,8 @@ def follow(tracker: Tracker, scans: tuple[Scan, ...]) -> Array:
 
 
 def test_known_motions_are_followed(system: System, course: Course) -> None:
-    found = follow(system.start(), course.scans)
-    path, truth = (inverse(T[0]) @ T for T in (found, course.poses))
+    poses = follow(system.start(), course.scans)
+    path, truth = (inverse(T[0]) @ T for T in (poses, course.poses))
     length = float(translation_norm(inverse(truth[:-1]) @ truth[1:]).sum())
     error = inverse(truth[-1]) @ path[-1]
     metres, degrees = float(translation_norm(error)), float(np.degrees(rotation_angle(error)))

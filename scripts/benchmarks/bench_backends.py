@@ -107,10 +107,10 @@ def measure(
             )
         calling.append(statistics.median(theirs))
         registering.append(statistics.median(mine))
-        found = judge.register(backend, source, target, guess)
-        T, radius = found.T_target_source, backend.max_correspondence_distance
+        result = judge.register(backend, source, target, guess)
+        T, radius = result.T_target_source, backend.max_correspondence_distance
         judging.append(_median(functools.partial(evaluate, source, target, T, radius), repeats))
-        iterations += [] if found.iterations is None else [found.iterations]
+        iterations += [] if result.iterations is None else [result.iterations]
         points.append(len(source.points))
     raw_s, wrap_s = (
         statistics.median(calling),
@@ -190,11 +190,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         with bar(name, len(backends)) as progress:
             for backend_name, backend in backends.items():
                 try:
-                    found = measure(backend, pairs, options.repeats)
+                    numbers = measure(backend, pairs, options.repeats)
                 except BackendError as error:
                     print(f"{name:<7}{backend_name:<18}{error}")
                     continue
-                lines.append([name, backend_name, *found])
+                lines.append([name, backend_name, *numbers])
                 progress.step(backend_name)
                 print(show(lines[-1]), flush=True)
     make_folder(options.out)

@@ -58,14 +58,16 @@ def load(options: argparse.Namespace, words: list[str]) -> tuple[list[KnownPair]
     """The pairs, and the words that backends are built with."""
     distance = options.distance
     if any(word.startswith("dataset=") for word in words):
-        found = settings.compose_settings(words)
-        pairs = pairs_of(experiment.build(found.config["dataset"]), options.gap or 1, options.pairs)
+        composed = settings.compose_settings(words)
+        pairs = pairs_of(
+            experiment.build(composed.config["dataset"]), options.gap or 1, options.pairs
+        )
     else:
         pairs = []
         for place in ENVIRONMENTS:
             word = f"dataset.environment={place}"
-            found = settings.compose_settings([*words, word])
-            dataset = experiment.build(found.config["dataset"])
+            composed = settings.compose_settings([*words, word])
+            dataset = experiment.build(composed.config["dataset"])
             pairs += pairs_of(dataset, options.gap or 20, -(-options.pairs // len(ENVIRONMENTS)))
     if distance is None:
         distance = 1.0
@@ -74,14 +76,14 @@ def load(options: argparse.Namespace, words: list[str]) -> tuple[list[KnownPair]
 
 def backends_for(names: str | None, planar: bool, words: list[str]) -> dict[str, Backend]:
     """The backends that register such scans, and whose libraries are there."""
-    needed, found = "2d" if planar else "3d", {}
+    needed, backends = "2d" if planar else "3d", {}
     for name in names.split(",") if names else settings.members("backend"):
         node = settings.compose_settings([*words, f"backend={name}"]).config["backend"]
         cls = plugins.locate(f"backend={name}", node["_target_"])
         fits = isinstance(cls, type) and issubclass(cls, Backend) and needed in cls.dimensions
         if fits and not cls.is_baseline:
-            found[name] = experiment.build(node)
-    return found
+            backends[name] = experiment.build(node)
+    return backends
 
 
 def shares(
@@ -96,22 +98,22 @@ def shares(
     }
 
 
-def show(name: str, found: dict[tuple[float, float], float]) -> str:
+def show(name: str, shares_of: dict[tuple[float, float], float]) -> str:
     """One backend's table."""
-    rows, columns = sorted({m for m, _ in found}), sorted({d for _, d in found})
+    rows, columns = sorted({m for m, _ in shares_of}), sorted({d for _, d in shares_of})
     lines = [f"\n{name:<18}" + "".join(f"{d:>6g} deg" for d in columns)]
-    lines += [f"{m:>15g} m " + "".join(f"{found[m, d]:>9.0%} " for d in columns) for m in rows]
+    lines += [f"{m:>15g} m " + "".join(f"{shares_of[m, d]:>9.0%} " for d in columns) for m in rows]
     return "\n".join(lines)
 
 
-def write(found: dict[str, dict[tuple[float, float], float]], count: int, out: Path) -> Path:
+def write(shares_of: dict[str, dict[tuple[float, float], float]], count: int, out: Path) -> Path:
     """All shares as CSV."""
 
     def fill(path: Path) -> None:
         with open(path, "w", newline="", encoding="utf-8") as file:
             rows = csv.writer(file)
             rows.writerow(["backend", "guess_off_m", "guess_off_deg", "success", "pairs"])
-            for name, values in found.items():
+            for name, values in shares_of.items():
                 rows.writerows([name, m, d, share, count] for (m, d), share in values.items())
 
     make_folder(out)
@@ -131,16 +133,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         for d in options.degrees
     }
     backends = backends_for(options.backends, pairs[0].source.planar, words)
-    found = {}
+    shares_of = {}
     with bar("backends", len(backends)) as progress:
         for name, backend in backends.items():
-            found[name] = shares(backend, pairs, guesses)
+            shares_of[name] = shares(backend, pairs, guesses)
             progress.step(name)
-            print(show(name, found[name]), flush=True)
-    path = write(found, len(pairs), options.out)
+            print(show(name, shares_of[name]), flush=True)
+    path = write(shares_of, len(pairs), options.out)
     title = f"{len(pairs)} pairs, found: within {NEAR_M:g} m and {NEAR_DEG:g} deg of the truth"
     with style.paper():
-        files = style.save(basins.draw(found, title), options.out, "basin")
+        files = style.save(basins.draw(shares_of, title), options.out, "basin")
     print(f"\n{title}\n{path}\n" + "\n".join(map(str, files)))
     return 0
 

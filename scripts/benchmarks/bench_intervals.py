@@ -46,8 +46,8 @@ def long_relations(folder: Path, trials: int) -> None:
             noise = rng.lognormal(-(WITHIN**2) / 2, WITHIN, len(labels))
             errors = rng.lognormal(0, 1, count)[labels] * noise
             for i, clusters in enumerate((labels, np.arange(len(labels)))):
-                found = cluster_interval(errors, clusters, np.zeros(len(labels)))
-                hits[i] += not found.excludes(np.exp(0.5))
+                over = cluster_interval(errors, clusters, np.zeros(len(labels)))
+                hits[i] += not over.excludes(np.exp(0.5))
         shares = hits / trials
         print(f"{log:<10} {len(labels):>9} {count:>9} {shares[0]:>11.0%} {shares[1]:>12.0%}")
 

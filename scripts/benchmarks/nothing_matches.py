@@ -74,9 +74,9 @@ def poses_of(steps: list[Step]) -> dict[int, Array]:
     return {step.record.scan: step.T_world_scan for step in steps}
 
 
-def off(known: Array, found: Array) -> float:
+def off(known: Array, estimated: Array) -> float:
     """The distance (m) between where two motions lead."""
-    return float(translation_norm(inverse(known) @ found))
+    return float(translation_norm(inverse(known) @ estimated))
 
 
 def table(name: str, words: list[str], events: list[Event], longest: float) -> list[str]:

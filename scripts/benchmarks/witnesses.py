@@ -103,10 +103,10 @@ def differences(before: Path, after: Path) -> list[str]:
         return [f"status {statuses[0]} became {statuses[1]}"]
     names = ("trajectory.tum", "metrics.json", "steps.parquet", "relations.parquet")
     for name in names:
-        there = [(run / name).is_file() for run in (before, after)]
-        if there[0] != there[1]:
-            lines.append(f"{name}: there {there[0]}, now {there[1]}")
-        elif all(there):
+        present = [(run / name).is_file() for run in (before, after)]
+        if present[0] != present[1]:
+            lines.append(f"{name}: present {present[0]}, now {present[1]}")
+        elif all(present):
             lines += [f"{name}: {line}" for line in _file(before / name, after / name)]
     return lines
 

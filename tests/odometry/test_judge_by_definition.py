@@ -182,3 +182,15 @@ def test_three_matches_of_three_points_are_enough_in_the_plane() -> None:
     assert held is not None and held.matrix[1, 1] == pytest.approx(1.0)
     away = cloud(points + np.array([[0, 0, 0], [0, 0, 0], [0, 50, 0]]))
     assert evaluate(away, target, np.eye(4), RADIUS).localizability is None
+
+
+def test_planar_fitness_rmse_and_inliers_by_hand() -> None:
+    """The radius itself is outside, and height counts for nothing."""
+    line = cloud(np.column_stack([np.arange(10.0), np.zeros(10), np.zeros(10)]))
+    source = np.array(
+        [[0, 0, 0], [1, 0.1, 0], [2, 0, 0.2], [3, -0.2, 0], [4, RADIUS, 0], [50.0, 0, 0]]
+    )
+    evaluation = evaluate(cloud(source), line, np.eye(4), RADIUS)
+    assert evaluation.fitness == pytest.approx(4 / 6)
+    assert evaluation.inlier_rmse == pytest.approx(np.sqrt((0.01 + 0.04) / 4))
+    assert evaluation.inliers == 4 and evaluation.localizability is None
