@@ -142,11 +142,13 @@ while True:
 """
 
 
-def killed_writers(folder: Path, starts: list[int], mode: str, log: Path) -> list[tuple[int, int]]:
-    """Kill -9 processes that write, at a random moment; how many pairs each had put, and how
-    many of them in full batches."""
-    here = [str(Path(rbtm_bench.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, here))}
+def killed_writers(
+    folder: Path, starts: list[int], mode: str, log: Path, least: int = 1
+) -> list[tuple[int, int]]:
+    """Kill -9 processes that write, at a random moment after ``least`` pairs; how many pairs each
+    had put, and how many of them in full batches."""
+    places = [str(Path(rbtm_bench.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, places))}
     writers = []
     for start in starts:
         command = [sys.executable, "-c", WRITE_FOR_EVER, str(folder), str(start), mode]
@@ -155,15 +157,15 @@ def killed_writers(folder: Path, starts: list[int], mode: str, log: Path) -> lis
     logs = [log.with_suffix(f".{start}") for start in starts]
     try:
         end = time.monotonic() + 30
-        while time.monotonic() < end and any(path.stat().st_size == 0 for path in logs):
+        while time.monotonic() < end and any(path.stat().st_size < 16 * least for path in logs):
             time.sleep(0.005)
         time.sleep(random.uniform(0, 0.1))
     finally:
         for writer in writers:
             writer.kill()
             writer.wait()
-    told = [path.read_bytes() for path in logs]
-    return [struct.unpack("<qq", text[len(text) // 16 * 16 - 16 :][:16]) for text in told]
+    reports = [path.read_bytes() for path in logs]
+    return [struct.unpack("<qq", text[len(text) // 16 * 16 - 16 :][:16]) for text in reports]
 
 
 def sql(path: Path, *statements: str) -> None:

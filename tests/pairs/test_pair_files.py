@@ -15,6 +15,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pairstore_helpers import (
+    BATCH,
     aside,
     fill,
     key,
@@ -193,7 +194,7 @@ def test_damage_anywhere_is_harmless(
 
 
 def test_a_damaged_log_is_harmless(tmp_path: Path) -> None:
-    writers = killed_writers(tmp_path / "pairs", [0], "shared", tmp_path / "log")
+    writers = killed_writers(tmp_path / "pairs", [0], "shared", tmp_path / "log", BATCH + 1)
     log = tmp_path / "pairs" / "pairs.sqlite-wal"
     overwrite(log, log.stat().st_size // 2, os.urandom(100))
     with PairStore(tmp_path / "pairs") as store:
