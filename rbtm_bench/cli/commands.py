@@ -29,7 +29,7 @@ commands
   doctor    check this installation and say what to do
 
 what goes on the command line
-  dataset=corridor|carmen|cloud_folder          group=member chooses a plug-in
+  dataset=corridor|carmen|kitti|cloud_folder    group=member chooses a plug-in
   dataset.path=LOG selector.threshold=0.8       group.key=value sets one of its parameters
   out=DIR                                       where the results go (default: results/...)
   seed=0,1,2                                    lists make a grid (compare, sweep)

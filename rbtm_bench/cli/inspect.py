@@ -15,7 +15,7 @@ def show(words: list[str]) -> int:
         description="What is behind a row of a table: the command that was typed and one that "
         "repeats just this run, every setting, the data, versions, machine, the main results and "
         "the files.",
-        epilog="example: rbtm-bench show results/compare/open3d_p2p-rbtm",
+        epilog="example: rbtm-bench show results/compare/open3d_p2p-rbtm-seed=0",
     )
     parser.add_argument("run", type=Path, metavar="RUN", help=RUN)
     options = parser.parse_args(words)

@@ -2,12 +2,14 @@
 
 Every strategy gets the same four tries on the corridor with seeds 100 to 104. The try with the
 smallest error (geometric mean over the four backends of the median over seeds) is the one that
-scripts/demo.py uses. Run:  python scripts/choose_demo_settings.py [OUT]
+scripts/demo.py uses.
+
+    python scripts/choose_demo_settings.py
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -48,4 +50,8 @@ def choose(out: Path) -> int:
 
 def main() -> int:
     """The choice, into the folder named on the command line."""
-    return choose(Path(sys.argv[1] if len(sys.argv) > 1 else "results/demo_settings"))
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("out", type=Path, nargs="?", default=Path("results/demo_settings"))
+    return choose(parser.parse_args().out)

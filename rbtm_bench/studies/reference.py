@@ -1,7 +1,7 @@
 """The committed reference tables: results/reference/NAME.md and NAME.csv.
 
     python scripts/make_reference.py corridor      the demo's methods and seeds, simulated
-    python scripts/make_reference.py kitti [DATA]  20 frames of KITTI 00 ($RBTM_BENCH_DATA/kitti)
+    python scripts/make_reference.py kitti         20 frames of KITTI 00 (below RBTM_BENCH_DATA)
     python scripts/make_reference.py paper         of results/paper, left by reproduce_paper.py
 
 They hold no times, dates or paths, so that the same versions on the same processor give the same

@@ -1,6 +1,6 @@
 """What a backend costs: a preparation, a registration, its iterations, and what our wrapper adds.
 
-    python scripts/benchmarks/bench_backends.py ../shared/data  ACES, Intel (corrected), KITTI
+    python scripts/benchmarks/bench_backends.py DATA    ACES, Intel (corrected), KITTI
 
 One thread, one pinned core, everything compiled and warm. Both sides do the same registrations of
 the same prepared scans in turn: `raw` is the library's call alone (for our own methods, their

@@ -1,6 +1,6 @@
 """The similarity band of a whole log, on one core: seconds for 1x, 2x and 4x the scans.
 
-python scripts/benchmarks/bench_band.py aces.clf.gz [--window 100]
+python scripts/benchmarks/bench_band.py aces.clf.gz
 """
 
 from __future__ import annotations

@@ -7,9 +7,9 @@ wrong guesses for every backend; settings are the backends' defaults at one corr
     python scripts/benchmarks/bench_basin.py              simulated scans, exact truth
     python scripts/benchmarks/bench_basin.py dataset=carmen dataset.path=intel-corrected.log.gz
     python scripts/benchmarks/bench_basin.py dataset=kitti dataset.path=kitti dataset.sequence=0 \\
-        dataset.truth=[14,19] --pairs 5 --metres 0 1 2 --degrees 0 5 15
+        dataset.ground_truth_frames=[14,19] --pairs 5 --metres 0 1 2 --degrees 0 5 15
 
-Simulated scans come from the four environments of the corridor; --gap scans lie between target and
+Simulated scans come from three environments of the corridor; --gap scans lie between target and
 source, so that they overlap as they do on a robot.
 """
 

@@ -1,6 +1,6 @@
 """Every 2D backend on consecutive keyframes of corrected logs: relative pose error in one table.
 
-    python scripts/benchmarks/bench_corrected.py intel-corrected.log.gz csail-corrected.log.gz ...
+    python scripts/benchmarks/bench_corrected.py intel-corrected.log.gz csail-corrected.log.gz
 
 The initial guess is the raw odometry (never the corrected pose); its own error is the first row.
 The truth is the log's corrected pose, which is SLAM output: the floor below the table says how far

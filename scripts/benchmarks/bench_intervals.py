@@ -2,12 +2,14 @@
 
 Medians of seeds are drawn lognormal. Relations keep the real logs' times and so their clusters;
 their errors are a lognormal number a cluster (sigma 1) times one a relation (sigma 0.3).
-Run:  python scripts/benchmarks/bench_intervals.py FOLDER_WITH_RELATIONS [TRIALS]
+
+    python scripts/benchmarks/bench_intervals.py freiburg        the folder of *.relations
+    python scripts/benchmarks/bench_intervals.py freiburg 300    so many trials
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 
 import numpy as np
@@ -52,9 +54,17 @@ def long_relations(folder: Path, trials: int) -> None:
         print(f"{log:<10} {len(labels):>9} {count:>9} {shares[0]:>11.0%} {shares[1]:>12.0%}")
 
 
+def main() -> None:
+    """Print both tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder", type=Path, help="holds the .relations of " + ", ".join(LOGS))
+    parser.add_argument("trials", type=int, nargs="?", default=300)
+    options = parser.parse_args()
+    seeds(options.trials)
+    long_relations(options.folder, options.trials)
+
+
 if __name__ == "__main__":
-    if len(sys.argv) < 2:
-        sys.exit(__doc__)
-    TRIALS = int(sys.argv[2]) if len(sys.argv) > 2 else 300
-    seeds(TRIALS)
-    long_relations(Path(sys.argv[1]), TRIALS)
+    main()

@@ -5,7 +5,8 @@ half-span of 3 beams, guess=odometry. Both sides run the same loop in one pinned
 serial, with the log in memory; metrics and files are left out. The plain side instantiates
 plug-ins once and computes everything; the other takes them from a workbench with a pair store.
 
-    python scripts/benchmarks/bench_sweep.py aces.clf.gz [--quick]  (--quick: the first 2000 scans)
+    python scripts/benchmarks/bench_sweep.py aces.clf.gz
+    python scripts/benchmarks/bench_sweep.py aces.clf.gz --quick    the first 2000 scans
 """
 
 from __future__ import annotations

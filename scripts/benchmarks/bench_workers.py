@@ -3,7 +3,7 @@
 Whole commands are timed, start-up included, in turn; the tables they leave must agree (times
 aside).
 
-    python scripts/benchmarks/bench_workers.py [--alternations 2]
+    python scripts/benchmarks/bench_workers.py
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Runs to hold a redesign against: made before it, made again after it, compared number by number.
 
-    python scripts/benchmarks/witnesses.py make /tmp/before     # at the old commit
-    python scripts/benchmarks/witnesses.py make /tmp/after      # at the new one
-    python scripts/benchmarks/witnesses.py compare /tmp/before /tmp/after
+    python scripts/benchmarks/witnesses.py make before     # at the old commit
+    python scripts/benchmarks/witnesses.py make after      # at the new one
+    python scripts/benchmarks/witnesses.py compare before after
 
 Poses, decisions and metrics have to be the same bits, scores to agree within 1e-6 and information
 matrices within 1e-12; times and what depends on the machine's mood are left out. Every planar
