@@ -45,7 +45,6 @@ ELSEWHERE = {
     "rbtm-bench sweep +experiment": "runs/test_experiments.py",
     "rbtm-bench table results/overnight": "report/test_best.py",
     "rbtm-bench run --config-dir mine": "calibration/test_calibrate_command.py",
-    "rbtm-bench similarity --memory": "cli/test_cli_similarity.py",
     "rbtm-bench plot PATH": "plots/test_plots.py",
 }
 """Starts of commands that need more than a small folder, and the tests that run them."""
@@ -102,7 +101,7 @@ PLACES |= {"intel": "cluttered", "csail": "bare"}
 def run(folder: Path, name: str, place: str, selector: str, backend="none", *words: str) -> None:
     """A run in the corridor that the pages call by this name."""
     choice = (f"dataset.environment={place}", f"selector={selector}", f"backend={backend}")
-    code, _, error = call("run", *choice, *words, *SMALL["corridor"], f"out={folder / name}")
+    code, _, error = call("run", *choice, *words, *SMALL["corridor"], f"out='{folder / name}'")
     assert code == 0, error
 
 
@@ -127,7 +126,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, data_dir: Path) -> Path:
     for seed in (0, 1):
         for selector in ("previous", "keyframe", "rbtm"):
             for backend in ("none", "open3d_p2p"):
-                name = f"{backend}-{selector}{seed or ''}"
+                name = f"{backend}-{selector}-seed={seed}"
                 run(root / "results/compare", name, "paper", selector, backend, f"seed={seed}")
     for seed in (0, 100, 101, 102):
         for window in (4, 6):
