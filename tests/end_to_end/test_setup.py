@@ -14,10 +14,12 @@ import pytest
 REPO = Path(__file__).resolve().parents[2]
 SCRIPTS = [*sorted((REPO / "scripts").glob("*.sh")), REPO / ".ci" / "run"]
 PIN = re.compile(r"([A-Za-z0-9][A-Za-z0-9._-]*)==[0-9][0-9A-Za-z.]*")
-HOSTS = ("pypi org", "pythonhosted org", "test pypi", "anaconda org", "debian org", "npmjs org")
-"""Registries, spelt with a blank for the dot: no host's name stands in any file, nor in this."""
-SETTINGS = ("archive ubuntu", "registry npmjs", "index-url", "find-links")
-REGISTRY = re.compile("|".join((*HOSTS, *SETTINGS)).replace(" ", r"\."), re.IGNORECASE)
+HOSTS = ("pypi_org", "python hosted_org", "test_pypi", "anaconda_org", "debian_org", "npmjs_org")
+"""Registries, spelt with _ for the dot and blanks: no host's name stands in any file."""
+SETTINGS = ("archive_ubuntu", "registry_npmjs", "index-url", "find-links")
+REGISTRY = re.compile(
+    "|".join((*HOSTS, *SETTINGS)).replace(" ", "").replace("_", r"\."), re.IGNORECASE
+)
 
 
 def canonical(name: str) -> str:

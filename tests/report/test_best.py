@@ -9,7 +9,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
 import pytest
 import yaml
 from omegaconf import OmegaConf
@@ -178,26 +177,6 @@ def test_of_equal_settings_the_smallest_window_stands_for_all(tmp_path: Path) ->
     assert (row["window"], row["equal"], row["tried"]) == (4, 2, 3)
     table = best_settings.best(frame.over_seeds(stored.find_runs([tmp_path])))
     assert any("smallest window" in line for line in best_settings.chances(table))
-
-
-def test_the_winner_of_rows_by_hand() -> None:
-    """The least error; a smaller window before a smaller threshold; a failed seed loses to any."""
-    rows = pd.DataFrame(
-        [
-            ("done", 8, 0.1, 5.0),
-            ("done", 4, 0.9, 5.0),
-            ("done", 4, 0.5, 5.0),
-            ("done", 2, 0.1, 6.0),
-            ("1 of 2 done", 1, 0.0, 1.0),
-            ("done", 1, 0.0, None),
-        ],
-        columns=["status", "window", "threshold", MM],
-    )
-    won = best_settings.winner(rows, MM)
-    assert won is not None and (won["window"], won["threshold"], won[MM]) == (4, 0.5, 5.0)
-    partly = best_settings.winner(rows[rows["status"] != "done"], MM)
-    assert partly is not None and partly[MM] == 1.0
-    assert best_settings.winner(rows[5:], MM) is None
 
 
 # --- the notes beside it

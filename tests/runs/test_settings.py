@@ -8,8 +8,7 @@ import pytest
 
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.wording import shown, suggestion
-from rbtm_bench.runs import settings
-from rbtm_bench.runs.declared import GROUPS, PLUGIN_GROUPS
+from rbtm_bench.runs.declared import GROUPS
 from rbtm_bench.runs.plugins import locate
 from rbtm_bench.runs.settings import compose_settings, config_dir, member_nodes, members
 
@@ -390,23 +389,3 @@ def test_suggestions() -> None:
 def test_values_are_shown_as_typed() -> None:
     words = [shown(value) for value in (None, True, 1.5, "a b", [1, False, "x"])]
     assert words == ["null", "true", "1.5", "a b", "[1,false,x]"]
-
-
-def test_members_as_written_are_members_as_composed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Reading a member's own file gives what composing it gives; one that inherits is composed."""
-    folder = tmp_path / "backend"
-    folder.mkdir()
-    (folder / "mine.yaml").write_text("defaults: [open3d_p2p]\nmax_iterations: 7\n")
-    (folder / "broken.yaml").write_text("a: [1\n")
-    (folder / "elsewhere.yaml").write_text("# @package other\n_target_: a.B\n")
-    written = {group: settings.member_nodes(group, (tmp_path,)) for group in PLUGIN_GROUPS}
-    monkeypatch.setattr(settings, "_written", lambda *_: None)
-    for group in PLUGIN_GROUPS:
-        composed = settings.member_nodes(group, (tmp_path,))
-        assert list(written[group]) == list(composed)
-        for name, node in composed.items():
-            assert str(written[group][name]) == str(node), name
-    assert written["backend"]["mine"]["max_iterations"] == 7
-    assert isinstance(written["backend"]["broken"], ConfigError)
