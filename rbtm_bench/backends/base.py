@@ -11,22 +11,23 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
 
-from rbtm_bench.backends.neighbours_2d import Sorted2D, sorted_2d
+from rbtm_bench.backends.plane_index import PlaneIndex, plane_index
 from rbtm_bench.core.errors import BackendError
-from rbtm_bench.core.geometry import is_rigid, symmetric, to_plane, transform, voxel_downsample
+from rbtm_bench.core.geometry import to_plane, transform, voxel_downsample
+from rbtm_bench.core.rigid import all_finite, rigidity, symmetric_information
 from rbtm_bench.core.types import Array, Scan
 
 MIN_POINTS = 6
 """Fewer points than this cannot hold six degrees of freedom against noise: an error."""
-OUT_OF_PLANE = [2, 3, 4]
-"""z, rx and ry among x, y, z, rx, ry, rz."""
+GUESS_TOLERANCE, ANSWER_TOLERANCE = 1e-6, 1e-5
+"""How far from rigid (``geometry.rigidity_error``) a guess and a library's answer may be."""
 
 PROGRAMMING_ERRORS = (
     AttributeError,
@@ -65,9 +66,9 @@ class Prepared:
         return cKDTree(self.points)
 
     @cached_property
-    def sorted(self) -> Sorted2D:
+    def index(self) -> PlaneIndex:
         """The same for planar points."""
-        return sorted_2d(self.points)
+        return plane_index(self.points)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +133,7 @@ class Backend(ABC):
         points = np.array(scan.points, dtype=np.float64, order="C")  # the scan's stay as they are
         if points.ndim != 2 or points.shape[1] != 3:
             raise BackendError(f"scan {scan.index}: points {points.shape}: expected (N, 3)")
-        if not np.isfinite(points).all():
+        if not all_finite(points):
             raise BackendError(f"scan {scan.index}: some points are not finite")
         thinned = voxel_downsample(points, self.voxel_size)
         return self._prepared(thinned, scan.planar, ((scan.index, None),))
@@ -164,17 +165,18 @@ class Backend(ABC):
         if not isinstance(alignment, Alignment):
             kind = type(alignment).__name__
             raise TypeError(f"{name}.align returned {kind}: expected an Alignment")
-        T = np.array(alignment.T_target_source, dtype=np.float64)
-        if not is_rigid(T, tolerance=1e-5):
-            raise BackendError(f"{name} returned no rigid motion")
+        T = _checked_motion(alignment.T_target_source, name)
         planar = source.planar and target.planar
-        return replace(
-            alignment,
-            T_target_source=to_plane(T) if planar else T,
-            # a library's own kind of bool would not be the `False` that checks look for
-            converged=None if alignment.converged is None else bool(alignment.converged),
-            information=_checked_information(alignment.information, planar),
-            seconds=seconds,
+        # a library's own kind of bool would not be the `False` that checks look for
+        converged = None if alignment.converged is None else bool(alignment.converged)
+        return Alignment(
+            to_plane(T) if planar else T,
+            converged,
+            alignment.iterations,
+            _checked_information(alignment.information, planar),
+            alignment.library_fitness,
+            alignment.library_rmse,
+            seconds,
         )
 
     def _prepared(self, points: Array, planar: bool, key: TargetKey) -> Prepared:
@@ -192,12 +194,24 @@ def _checked_guess(source: Any, target: Any, T_target_source: Any) -> Array:
             kind = type(cloud).__name__
             raise TypeError(f"{name} is {kind}: expected what prepare() returns, a Prepared")
     try:
-        guess = np.array(T_target_source, dtype=np.float64)
+        guess = np.array(T_target_source, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise TypeError(f"T_target_source is no array of numbers: {error}") from error
-    if not is_rigid(guess):
+    if guess.shape != (4, 4) or not rigidity(guess) <= GUESS_TOLERANCE:
         raise ValueError("the initial guess is not a rigid 4x4 motion")
     return guess
+
+
+def _checked_motion(given: Any, name: str) -> Array:
+    """A backend's answer as float64. Raises ``BackendError`` for what is no motion."""
+    if not isinstance(given, np.ndarray) or given.dtype != np.float64:
+        given = np.asarray(given)
+        if given.dtype.kind not in "fiu":
+            raise BackendError(f"{name} returned a motion of {given.dtype}: expected real numbers")
+    T = np.array(given, dtype=np.float64, order="C")
+    if T.shape != (4, 4) or not rigidity(T) <= ANSWER_TOLERANCE:
+        raise BackendError(f"{name} returned no rigid motion")
+    return T
 
 
 def _checked_information(given: Array | None, planar: bool) -> Array | None:
@@ -206,10 +220,7 @@ def _checked_information(given: Array | None, planar: bool) -> Array | None:
     """
     if given is None:
         return None
-    information = np.array(given, dtype=np.float64)
+    information = np.array(given, dtype=np.float64, order="C")
     if information.shape != (6, 6):
         raise BackendError(f"information {information.shape}: expected (6, 6)")
-    information = symmetric(information)
-    if planar:
-        information[OUT_OF_PLANE], information[:, OUT_OF_PLANE] = 0.0, 0.0
-    return information
+    return symmetric_information(information, planar)

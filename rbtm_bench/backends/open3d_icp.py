@@ -9,10 +9,11 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
+from numpy.typing import NDArray
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.core.errors import ConfigError
-from rbtm_bench.core.geometry import information_in_source_frame
+from rbtm_bench.core.kernels import kernel
 from rbtm_bench.core.open3d_library import open3d
 from rbtm_bench.core.types import Array
 
@@ -56,6 +57,7 @@ class Open3DICP(Backend):
         self.criteria = _registration().ICPConvergenceCriteria(
             self.relative_fitness, self.relative_rmse, self.max_iterations
         )
+        point_information(np.eye(3), np.zeros((1, 2), np.int32), np.eye(4))  # compiled beforehand
 
     @abstractmethod
     def icp(self, source: Any, target: Any, distance: float, guess: Array) -> Any:
@@ -65,11 +67,11 @@ class Open3DICP(Backend):
         T = T_target_source
         for distance in self.distances:
             result = self.icp(source.native, target.native, distance, T)
-            T = np.asarray(result.transformation)
-        matched = target.points.take(np.asarray(result.correspondence_set)[:, 1], axis=0)
+            T = np.ascontiguousarray(result.transformation)
+        matches = np.asarray(result.correspondence_set)
         return Alignment(
             T,
-            information=information_in_source_frame(point_information(matched), T),
+            information=point_information(target.points, matches, T),
             library_fitness=result.fitness,
             library_rmse=result.inlier_rmse,
         )
@@ -86,15 +88,26 @@ class Open3DICP(Backend):
         }[self.kernel]()
 
 
-def point_information(points: Array) -> Array:
-    """The (6, 6) information of a small motion d = (x, y, z, rx, ry, rz) of matched points (N, 3)
-    m about their origin: the sum of J^T J with J = [I, -skew(p)], the motion of a point.
+@kernel
+def point_information(target: Array, matches: NDArray[np.int32], T_target_source: Array) -> Array:
+    """The (6, 6) information of a small motion d = (x, y, z, rx, ry, rz) of the source in its own
+    frame, of ``matches`` (K, 2) with target points (N, 3) m in their second column: the sum of
+    J^T J with J = [I, -skew(p)], the motion of a point p.
 
     Open3D's definition, from correspondences already known, translation first.
     """
-    n = float(len(points))
-    x, y, z = (points.T @ np.ones(len(points))).tolist()
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = (points.T @ points).tolist()
+    n = float(len(matches))
+    x = y = z = xx = xy = xz = yy = yz = zz = 0.0
+    T = T_target_source
+    for i in range(len(matches)):
+        p = target[matches[i, 1]]
+        a, b, c = p[0] - T[0, 3], p[1] - T[1, 3], p[2] - T[2, 3]
+        u = T[0, 0] * a + T[1, 0] * b + T[2, 0] * c
+        v = T[0, 1] * a + T[1, 1] * b + T[2, 1] * c
+        w = T[0, 2] * a + T[1, 2] * b + T[2, 2] * c
+        x, y, z = x + u, y + v, z + w
+        xx, xy, xz = xx + u * u, xy + u * v, xz + u * w
+        yy, yz, zz = yy + v * v, yz + v * w, zz + w * w
     return np.array(
         [
             [n, 0.0, 0.0, 0.0, z, -y],

@@ -11,10 +11,11 @@ from rbtm_bench.contract.members import Catalogue, Member
 from rbtm_bench.contract.scene import TinyClouds
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.geometry import inverse, se2
-from rbtm_bench.core.types import Array, Scan
+from rbtm_bench.core.types import Array, Node, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.datasets.corridor import Corridor
 from rbtm_bench.pairs.shared import KnownScores
+from rbtm_bench.selection.window import Window
 from rbtm_bench.similarity.base import Descriptor, Similarity
 
 GROUP = "similarity"
@@ -262,13 +263,17 @@ def test_a_sweep_shares_the_same_bits(
 ) -> None:
     shared = KnownScores(similarity, dataset)
     shared.widen(3)
-    numbers = np.stack([shared.describe(scan)[0] for scan in dataset])
+    numbers, _ = shared.describe(list(dataset))
     motions = some_motions(len(descriptors))
+    new = len(descriptors) - 1
     for first in (0, len(descriptors) - 4):  # beyond the band, and within it
-        window, new = slice(first, -1), -1
-        expected = similarity.scores(descriptors[window], descriptors[new])
-        scores, _ = shared.scores(numbers[window], numbers[new])
+        window = Window(len(descriptors))
+        for scan in range(first, new):
+            window.push(Node(scan, 0.0, np.eye(4), descriptor=numbers[scan]))
+        models = slice(first, new)
+        expected = similarity.scores(descriptors[models], descriptors[new])
+        scores, _ = shared.scores(window, new)
         assert scores.tobytes() == expected.tobytes(), "shared scores are other bits"
-        expected = similarity.scores_under(descriptors[window], descriptors[new], motions[window])
-        scores, _ = shared.scores(numbers[window], numbers[new], motions[window])
+        expected = similarity.scores_under(descriptors[models], descriptors[new], motions[models])
+        scores, _ = shared.scores(window, new, motions[models])
         assert scores.tobytes() == expected.tobytes(), "shared scores under a guess: other bits"

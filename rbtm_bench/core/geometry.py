@@ -9,10 +9,12 @@ from numpy.typing import ArrayLike
 
 from rbtm_bench.core.types import Array
 
+_IDENTITY = np.eye(4)
+
 
 def se2(x: float, y: float, theta: float) -> Array:
     """The 4x4 pose of a planar motion: x, y in m, theta in rad about z."""
-    T = np.eye(4)
+    T = _IDENTITY.copy()
     c, s = np.cos(theta), np.sin(theta)
     T[0, 0], T[0, 1], T[1, 0], T[1, 1] = c, -s, s, c
     T[0, 3], T[1, 3] = x, y
@@ -96,7 +98,7 @@ def yaw(T: Array) -> Array:
 
 def to_plane(T: Array) -> Array:
     """The planar motion nearest to T: x, y and yaw are kept, the rest is dropped."""
-    return se2(float(T[0, 3]), float(T[1, 3]), float(yaw(T)))
+    return se2(T.item(3), T.item(7), float(np.arctan2(T.item(4), T.item(0))))
 
 
 def to_rotation(R: Array) -> Array:

@@ -31,6 +31,14 @@ def kernel(function: F) -> F:
     return cast(F, compiled)
 
 
+def reordering_kernel(function: F) -> F:
+    """A ``kernel`` whose sums may be added in any order, so that a processor adds several at once:
+    the same order every time on one processor, whatever lies where in memory."""
+    with _our_cache():
+        compiled: Any = numba.njit(cache=True, fastmath={"reassoc", "contract", "nsz"})(function)
+    return cast(F, compiled)
+
+
 def broadcasting(layout: str, signature: str) -> Callable[[Callable[..., None]], Any]:
     """``numba.guvectorize`` with the same cache: a function that fills its last argument becomes
     one that returns it, for arrays whose leading axes broadcast."""

@@ -38,6 +38,9 @@ class _Absent(ModuleType):
 
 def open3d() -> Any:
     """The library. Raises ``ImportError`` as importing it does."""
+    loaded = sys.modules.get("open3d")
+    if loaded is not None and hasattr(loaded, "pipelines"):  # as after the import, not within it
+        return loaded
     if "open3d" in sys.modules or WEB in sys.modules:
         return importlib.import_module("open3d")
     sys.modules[WEB] = _Absent(WEB)

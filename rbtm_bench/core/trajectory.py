@@ -1,4 +1,4 @@
-"""Poses that follow from edges, and trajectories as files.
+"""Trajectories, and how they are kept in files.
 
 A trajectory file is in the TUM format: a line ``stamp tx ty tz qx qy qz qw`` a pose (s, m, unit
 quaternion). evo reads and writes it; it takes a second to import, so it is imported where used.
@@ -16,18 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from rbtm_bench.core.errors import DataError, RunError
+from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.files import write_atomically
-from rbtm_bench.core.geometry import is_rigid, rigidity_error
-from rbtm_bench.core.types import Array, Edge
+from rbtm_bench.core.types import Array
 
 Mask = NDArray[np.bool_]
 
-EDGE_TOLERANCE = 1e-4
-"""How far from orthonormal the rotation of an edge may be: one in single precision passes."""
-
-ROUNDING = 1e-14
-"""A pose further from rigid than this is pulled back."""
 QUATERNION_TOLERANCE = 1e-3
 """How far from 1 the norm of a quaternion in a file may be; evo takes any norm in silence."""
 
@@ -43,67 +37,6 @@ def orthonormalised(T: Array) -> Array:
     out = T.copy()
     out[..., :3, :3] = 1.5 * R - 0.5 * R @ (np.swapaxes(R, -1, -2) @ R)
     return out
-
-
-class PoseChain:
-    """Poses of scans, each chained to the pose of its model scan (T_1j = T_1m T_mj).
-
-    Rounding errors do not pile up: every new rotation is orthonormalised, so the pose after any
-    number of edges is as rigid as the first. The poses handed out are read-only.
-    """
-
-    def __init__(self) -> None:
-        self._poses: dict[int, Array] = {}
-
-    def __len__(self) -> int:
-        return len(self._poses)
-
-    def __contains__(self, scan_index: object) -> bool:
-        return scan_index in self._poses
-
-    def start(self, scan_index: int, T_world_scan: Array | None = None) -> Array:
-        """Set the pose (4, 4) of the first scan, the identity by default, and return it.
-
-        Raises ``RunError`` if the chain has started or the pose is not rigid.
-        """
-        if self._poses:
-            raise RunError(f"scan {scan_index} cannot start a chain that has already started")
-        T = np.eye(4) if T_world_scan is None else np.array(T_world_scan, dtype=float)
-        if not is_rigid(T):
-            raise RunError(f"the first pose, of scan {scan_index}, is not a rigid motion")
-        return self._set(scan_index, T)
-
-    def add(self, edge: Edge) -> Array:
-        """Give ``edge.scan`` the pose T_world_model @ T_model_scan (4, 4) and return it.
-
-        Raises ``RunError`` if the model scan has no pose, the scan has one already (others may
-        follow from it), or the motion is not rigid.
-        """
-        known = self._poses.get(edge.model)
-        if known is None:
-            raise RunError(f"{_name(edge)}: scan {edge.model} has no pose")
-        if edge.scan in self._poses:
-            raise RunError(f"{_name(edge)}: scan {edge.scan} already has a pose")
-        if rigidity_error(edge.T_model_scan) > EDGE_TOLERANCE:
-            raise RunError(f"{_name(edge)}: its motion is not rigid")
-        return self._set(edge.scan, known @ edge.T_model_scan)
-
-    def pose(self, scan_index: int) -> Array:
-        """T_world_scan (4, 4) of a scan; ``RunError`` if it has none."""
-        if scan_index not in self._poses:
-            raise RunError(f"scan {scan_index} has no pose")
-        return self._poses[scan_index]
-
-    def _set(self, scan_index: int, T: Array) -> Array:
-        if rigidity_error(T) > ROUNDING:  # most are rigid to the last bits
-            T = orthonormalised(T)
-        T.flags.writeable = False
-        self._poses[scan_index] = T
-        return T
-
-
-def _name(edge: Edge) -> str:
-    return f"edge from model scan {edge.model} to scan {edge.scan}"
 
 
 @dataclass(frozen=True, eq=False)

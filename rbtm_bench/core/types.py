@@ -7,6 +7,7 @@ Units are metres, radians and seconds. Poses are 4x4 float64 and named by direct
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -134,17 +135,16 @@ class Edge:
 
 class StepRecord:
     """One row of ``steps.parquet``: how a scan got its pose. Its fields are the columns that
-    ``step_columns.STEPS`` declares, each with its default."""
-
-    __slots__ = tuple(column.name for column in STEPS)
+    ``step_columns.STEPS`` declares, each with its default; kept as columns by ``StepTable``."""
 
     def __init__(self, scan: int, stamp: float, *values: Any, **named: Any) -> None:
         """``values`` in the order of the columns, ``named`` by their names."""
-        given = {**dict(zip(self.__slots__, (scan, stamp, *values), strict=False)), **named}
-        for column in STEPS:
-            setattr(self, column.name, given.pop(column.name, column.default))
-        if given:
-            raise TypeError(f"no such columns of a step: {', '.join(given)}")
+        self.scan, self.stamp = scan, stamp
+        if values or named:
+            given = {**dict(zip(_NAMES[2:], values, strict=False)), **named}
+            if unknown := given.keys() - set(_NAMES):
+                raise TypeError(f"no such columns of a step: {', '.join(sorted(unknown))}")
+            self.__dict__.update(given)
 
     if TYPE_CHECKING:  # the names stand in STEPS alone
 
@@ -153,7 +153,38 @@ class StepRecord:
 
     def as_dict(self) -> dict[str, Any]:
         """The row by column."""
-        return {name: getattr(self, name) for name in self.__slots__}
+        return {name: getattr(self, name) for name in _NAMES}
+
+
+_NAMES = tuple(column.name for column in STEPS)
+for _column in STEPS:  # what a row does not say is the class's: most of a row is never set
+    setattr(StepRecord, _column.name, _column.default)
+
+
+class StepTable:
+    """The rows of a run as columns, by name; ``add`` takes a row's values and forgets the row."""
+
+    def __init__(self, records: Iterable[StepRecord] = ()) -> None:
+        self.columns: dict[str, list[Any]] = {name: [] for name in _NAMES}
+        for record in records:
+            self.add(record)
+
+    def __len__(self) -> int:
+        return len(self.columns["scan"])
+
+    def __getitem__(self, name: str) -> list[Any]:
+        return self.columns[name]
+
+    def add(self, record: StepRecord) -> None:
+        """Append a row."""
+        row = record.__dict__
+        if unknown := row.keys() - _DEFAULTS.keys():
+            raise TypeError(f"no such columns of a step: {', '.join(sorted(unknown))}")
+        for name, values in self.columns.items():
+            values.append(row[name] if name in row else _DEFAULTS[name])
+
+
+_DEFAULTS = {column.name: column.default for column in STEPS}
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from rbtm_bench.core.columns import family
-from rbtm_bench.core.types import Array, StepRecord
+from rbtm_bench.core.types import StepTable
 from rbtm_bench.metrics.base import Values
 
 STAGES = ("prepare", "describe", "guess", "select", "register")
@@ -21,12 +20,12 @@ PERCENTILES = (50, 95, 99)
 COLUMNS = family("cost")
 
 
-def cost(records: Sequence[StepRecord], peak_memory_mb: float | None = None) -> Values:
+def cost(steps: StepTable, peak_memory_mb: float | None = None) -> Values:
     """The keys of ``COLUMNS``. Times are None without scans, a stage's where no scan came by."""
-    stages = {name: _times(records, name) for name in (*STAGES, "check")}
-    total = 1e3 * sum((stages[name] for name in STAGES), start=np.zeros(len(records)))
+    stages = {name: np.array(steps[f"t_{name}_s"], dtype=float) for name in (*STAGES, "check")}
+    total = 1e3 * sum((stages[name] for name in STAGES), start=np.zeros(len(steps)))
     mean = float(total.mean()) if len(total) else None
-    interval = _interval(records)
+    interval = _interval(steps["stamp"])
     values: Values = {"ms_per_scan": mean}
     for p in PERCENTILES:
         values[f"ms_p{p}"] = float(np.percentile(total, p)) if len(total) else None
@@ -57,14 +56,10 @@ def peak_memory_mb() -> float | None:
     return peak * (1e-6 if sys.platform == "darwin" else 1024e-6)
 
 
-def _times(records: Sequence[StepRecord], stage: str) -> Array:
-    return np.array([getattr(record, f"t_{stage}_s") for record in records], dtype=float)
-
-
-def _interval(records: Sequence[StepRecord]) -> float | None:
+def _interval(given: list[float]) -> float | None:
     """The median time between scans in s, None where the stamps do not say: put in order first,
     because there are logs that step back in time."""
-    stamps = np.sort([record.stamp for record in records])
+    stamps = np.sort(given)
     if len(stamps) < 2 or not np.isfinite(stamps).all():
         return None
     interval = float(np.median(np.diff(stamps)))

@@ -13,17 +13,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
-from rbtm_bench.backends.neighbours_2d import Sorted2D, nearest_2d, sorted_2d, tangent_at
+from rbtm_bench.backends.plane_index import plane_index
 from rbtm_bench.core.geometry import symmetric, transform
-from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.rigid import all_finite, rigidity, symmetric_information
 from rbtm_bench.core.types import Array, Localizability, RegistrationResult
+from rbtm_bench.odometry.judge_plane import MATRIX, MAX_MATCHES, MIN_SURFACE, plane_sums
 
 MIN_INLIERS = 3
 """With fewer inliers a plane motion is not determined: never called converged."""
-MIN_SURFACE = 3
-"""Fewer target points than this, the matched one included, have no normal."""
-MAX_MATCHES = 200
-"""Matched points, spread evenly over the inliers, that the localizability is computed from."""
 SURFACE_NEIGHBOURS = 20
 """Neighbours of a target point, at most, that its normal in space is computed from."""
 
@@ -72,8 +69,12 @@ def judged(
 
 @cache
 def compile_kernels() -> None:
-    """Compile, or load from disk, what planar evaluation calls: never on a registration's time."""
-    _planar_sums(sorted_2d(np.eye(3)), np.eye(3), 1.0, 0.0, 0.0, 0.0, 9.0)
+    """Compile, or load from disk, what registering and judging call: never on a registration's
+    time."""
+    plane_sums(*plane_index(np.eye(3)), np.eye(3), np.eye(4), 9.0)
+    rigidity(np.eye(4))
+    symmetric_information(np.eye(6), True)
+    all_finite(np.eye(3))
 
 
 def evaluate(
@@ -101,62 +102,11 @@ def evaluate(
 
 
 def _evaluate_2d(source: Prepared, target: Prepared, T: Array, radius: float) -> Evaluation:
-    xy = source.points
-    count, squares, matrix, lever, used = _planar_sums(
-        target.sorted, xy, T[0, 0], T[1, 0], T[0, 3], T[1, 3], radius
-    )
+    sums = plane_sums(*target.index, source.points, T, radius)
+    count, squares, used, lever = sums[:MATRIX].tolist()
     rmse = math.sqrt(squares / count) if count else math.nan
-    held = Localizability(matrix, lever) if used >= MIN_SURFACE else None
-    return Evaluation(count / len(xy), rmse, count, held)
-
-
-@kernel
-def _planar_sums(
-    target: Sorted2D, source: Array, c: float, s: float, x: float, y: float, radius: float
-) -> tuple[int, float, Array, float, int]:
-    """Inliers, their squared distances, the matrix of ``Localizability``, its lever, and how many
-    matches had a normal."""
-    places = np.empty(len(source), dtype=np.int64)
-    count, squares = 0, 0.0
-    for i in range(len(source)):
-        px, py = source[i, 0], source[i, 1]
-        place, distance = nearest_2d(target, c * px - s * py + x, s * px + c * py + y, radius)
-        places[i] = place
-        if place >= 0:
-            count += 1
-            squares += distance * distance
-    step = max(1, -(-count // MAX_MATCHES))
-    H = np.zeros((3, 3))
-    seen, used, lever = 0, 0, 0.0
-    for i in range(len(source)):
-        if places[i] < 0:
-            continue
-        seen += 1
-        if (seen - 1) % step:
-            continue
-        neighbours, tangent = tangent_at(target, places[i], radius)
-        if neighbours < MIN_SURFACE:
-            continue
-        used += 1
-        nx, ny = -np.sin(tangent), np.cos(tangent)
-        u, v = c * nx + s * ny, c * ny - s * nx  # the normal in the source's frame
-        px, py = source[i, 0], source[i, 1]
-        r = px * v - py * u
-        lever += px * px + py * py
-        H[0, 0] += u * u
-        H[0, 1] += u * v
-        H[1, 1] += v * v
-        H[0, 2] += u * r
-        H[1, 2] += v * r
-        H[2, 2] += r * r
-    if used == 0:
-        return count, squares, H, 1.0, 0
-    lever = np.sqrt(lever / used) or 1.0
-    H /= used
-    H[:2, 2] /= lever
-    H[2, 2] /= lever * lever
-    H[1, 0], H[2, 0], H[2, 1] = H[0, 1], H[0, 2], H[1, 2]
-    return count, squares, H, lever, used
+    held = Localizability(sums[MATRIX:].reshape(3, 3), lever) if used >= MIN_SURFACE else None
+    return Evaluation(count / len(source.points), rmse, int(count), held)
 
 
 def _spread(count: int) -> slice:

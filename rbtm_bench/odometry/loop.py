@@ -1,179 +1,208 @@
-"""The loop: describe, select, register, check, update, record. It knows no files."""
+"""The loop: describe, select, register, check, update, record. It knows no files.
+
+What does not need the loop's outcome is done for a block of scans before it (descriptors, scores of
+all scans with those before them), what it does not need itself after it (``rows``).
+"""
 
 from __future__ import annotations
 
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from rbtm_bench.backends.base import Prepared
 from rbtm_bench.core.errors import BackendError
-from rbtm_bench.core.trajectory import PoseChain
 from rbtm_bench.core.types import Array, Edge, Node, RegistrationResult, Scan, Step, StepRecord
 from rbtm_bench.core.uncertainty import chained, edge_covariance
+from rbtm_bench.odometry import rows
+from rbtm_bench.odometry.chain import PoseChain
 from rbtm_bench.odometry.degeneracy import remap, unseen
+from rbtm_bench.odometry.judge import MIN_INLIERS
 from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.selection.base import Selection, Selector, Trial
 from rbtm_bench.selection.window import Window
 from rbtm_bench.similarity.base import Descriptor
 
+MOST_POINTS = 1_000_000
+"""A block ends with the scan that makes it so many points: 24 MB."""
+PATIENCE = 0.5
+"""s after which finished scans are handed out, though their block goes on."""
+UNKNOWN = np.full(1024, np.nan)
+"""Scores that nobody asked for."""
 
-def odometry(scans: Iterable[Scan], method: Method, work: Work | None = None) -> Iterator[Step]:
+
+class Ready(NamedTuple):
+    """A scan and what is known of it before it is registered."""
+
+    scan: Scan
+    record: StepRecord
+    prepared: Prepared | None
+    descriptor: Descriptor | None
+
+
+def odometry(
+    scans: Iterable[Scan], method: Method, work: Work | None = None, block: int = 1
+) -> Iterator[Step]:
     """Register a stream of scans, one at a time, and yield what became of each.
 
-    The first scan is the origin. Memory is bounded by the selector's window (and the poses).
-    A scan for which no registration is accepted keeps its predicted pose and says so. Ground truth
-    is taken off the scans before anything sees them, but for a selector that says it needs it.
-    ``work`` does what the plug-ins are asked for; None: by them alone, every time.
+    The first scan is the origin. Memory is bounded by the selector's window, the block and the
+    poses. A scan for which no registration is accepted keeps its predicted pose and says so.
+    Ground truth is taken off the scans before anything sees them, but for a selector that says it
+    needs it. ``work`` does what the plug-ins are asked for; None: by them alone, every time.
+    ``block`` scans are read ahead, which changes nothing but the time; 1 for a live stream.
     """
     work = work or Work(method)
     window = method.selector.window()
     chain = PoseChain()
     recent: deque[Node] = deque(maxlen=2)
     left_out = 0  # scans in a row that matched nothing and are no model scans
+    for part in _blocks(scans, block):
+        done: list[Step] = []
+        since = time.perf_counter()
+        for ready in _ready(part, work):
+            edge = None
+            if recent:
+                selection = _select(ready, window, recent, work)
+                edge = _register(ready, window, recent, selection, work)
+                if edge is None and left_out >= method.selector.patience:
+                    edge = _restart(ready, window, recent, work)
+            node, step, lost = _place(ready, edge, window, recent, chain, work)
+            left_out = left_out + 1 if lost else 0
+            if node.prepared is not None and not lost:
+                window.push(node)
+            recent.append(node)
+            done.append(step)
+            if time.perf_counter() - since > PATIENCE:
+                yield from rows.finished(done)
+                done, since = [], time.perf_counter()
+        yield from rows.finished(done)
+
+
+def _blocks(scans: Iterable[Scan], most: int) -> Iterator[list[Scan]]:
+    """The scans in blocks of at most ``most``, and of about ``MOST_POINTS`` points."""
+    part: list[Scan] = []
+    points = 0
     for scan in scans:
-        if method.selector.needs_truth:
+        part.append(scan)
+        points += len(scan.points)
+        if len(part) >= most or points >= MOST_POINTS:
+            yield part
+            part, points = [], 0
+    if part:
+        yield part
+
+
+def _ready(part: Sequence[Scan], work: Work) -> Iterator[Ready]:
+    """Describe a block, and prepare one scan after the other."""
+    method = work.method
+    if method.selector.needs_truth:
+        for scan in part:
             method.selector.see(scan)
-        scan = scan.without_truth()
+    part = [scan.without_truth() for scan in part]
+    descriptors, seconds = None, 0.0
+    if method.selector.needs_scores:
+        descriptors, seconds = work.describe(part)
+    for i, scan in enumerate(part):
         record = StepRecord(scan.index, scan.stamp)
-        prepared = _prepare(scan, work, record)
-        descriptor = None
-        if method.selector.needs_scores:
-            descriptor, record.t_describe_s = work.describe(scan)
+        record.t_describe_s = seconds
+        prepared = None
+        try:
+            prepared, record.t_prepare_s = work.prepare(scan)
+        except BackendError as error:
+            record.status, record.reason = "unusable", str(error)
         record.t_guess_s = method.guess.observe(scan, prepared, work.register)
-
-        if not recent:
-            edges: tuple[Edge, ...] = ()
-            T_world_scan = chain.start(scan.index)
-            lost = False
-        else:
-            selection = _select(scan, window, recent, descriptor, work, record)
-            edge = _register(scan, prepared, window, recent, selection, work, record)
-            if edge is None and left_out >= method.selector.patience:
-                edge = _restart(scan, prepared, window, recent, descriptor, work, record)
-            edges = (edge or _predict(scan, recent, work),)
-            T_world_scan = chain.add(edges[0])
-            lost = edge is None and _is_left_out(record, window, method.selector)
-
-        hops, covariance = _behind(edges, window, recent, method.selector)
-        node = Node(
-            scan.index,
-            scan.stamp,
-            T_world_scan,
-            scan.odometry,
-            prepared,
-            descriptor,
-            hops,
-            covariance,
-        )
-        left_out = left_out + 1 if lost else 0
-        if prepared is not None and not lost:
-            window.push(node)
-        recent.append(node)
-        yield Step(record, edges, T_world_scan)
+        yield Ready(scan, record, prepared, None if descriptors is None else descriptors[i])
 
 
-def _prepare(scan: Scan, work: Work, record: StepRecord) -> Prepared | None:
-    """The prepared scan, or None (and why) if the backend cannot use it."""
-    try:
-        prepared, record.t_prepare_s = work.prepare(scan)
-    except BackendError as error:
-        record.status, record.reason = "unusable", str(error)
-        return None
-    return prepared
-
-
-def _select(
-    scan: Scan,
-    window: Window,
-    recent: Sequence[Node],
-    descriptor: Descriptor | None,
-    work: Work,
-    record: StepRecord,
-) -> Selection:
+def _select(ready: Ready, window: Window, recent: Sequence[Node], work: Work) -> Selection:
     """The selector's ordered candidates for the scan."""
     if len(window) == 0:
         return Selection(())
-    scores = np.full(len(window), np.nan)
-    motions: Array | None = None
-    if descriptor is not None and work.method.similarity.needs_guess:
-        with _timed(record, "t_guess_s"):
+    scan, record, method = ready.scan, ready.record, work.method
+    seconds = 0.0
+    if ready.descriptor is None:
+        scores = (
+            UNKNOWN[: len(window)] if len(window) <= len(UNKNOWN) else np.full(len(window), np.nan)
+        )
+    else:
+        motions: Array | None = None
+        if method.similarity.needs_guess:
+            started = time.perf_counter()
             motions = np.stack([work.predict(n, scan, recent) for n in window.nodes])
-    if descriptor is not None:
-        scores, seconds = work.scores(window.descriptors, descriptor, motions)
-        record.t_select_s += seconds
-    with _timed(record, "t_select_s"):
-        selection = work.method.selector.choose(scan.index, window, scores)
-    record.candidates += sum(not c.is_fallback for c in selection.candidates)
+            record.t_guess_s += time.perf_counter() - started
+        scores, seconds = work.scores(window, scan.index, ready.descriptor, motions)
+    started = time.perf_counter()
+    selection = method.selector.choose(scan.index, window, scores)
+    record.candidates += selection.chosen
     record.undefined_scores += selection.undefined
+    record.t_select_s += seconds + time.perf_counter() - started
     return selection
 
 
 def _register(
-    scan: Scan,
-    prepared: Prepared | None,
-    window: Window,
-    recent: Sequence[Node],
-    selection: Selection,
-    work: Work,
-    record: StepRecord,
+    ready: Ready, window: Window, recent: Sequence[Node], selection: Selection, work: Work
 ) -> Edge | None:
     """Try the candidates in order; the first registration that passes the check is the edge, or,
     for a selector that tries all, the one that it picks of those."""
-    if prepared is None:
+    scan, record, selector = ready.scan, ready.record, work.method.selector
+    if ready.prepared is None:
         return None
-    method = work.method
     record.status = "predicted" if selection.candidates else "skipped"
     if len(window) == 0:
         record.status, record.reason = "predicted", "no model scan yet"
     accepted: list[Trial] = []
     for candidate in selection.candidates:
         model = window.node(candidate.model)
-        outcome = _attempt(scan, prepared, model, window, recent, work, record)
+        outcome = _attempt(ready, ready.prepared, model, window, recent, work)
         if isinstance(outcome, RegistrationResult):
             accepted.append(Trial(candidate, model, outcome))
-            if not method.selector.tries_all:
+            if not selector.tries_all:
                 break
         else:
             record.rejected += 1
             record.reason = outcome
     if not accepted:
         return None
-    with _timed(record, "t_select_s"):
-        which, reason = method.selector.pick(scan, accepted)
+    started = time.perf_counter()
+    which, reason = selector.pick(scan, accepted)
+    record.t_select_s += time.perf_counter() - started
     if not 0 <= which < len(accepted):
-        name = type(method.selector).__name__
+        name = type(selector).__name__
         raise ValueError(f"{name}.pick chose {which!r} of {len(accepted)} registrations")
     chosen = accepted[which]
-    _record(record, chosen, reason, method.guess_along_degenerate)
-    return _edge(chosen.model, scan, chosen.result, method.selector)
+    rows.fill(record, chosen, reason, work.method.guess_along_degenerate)
+    return _edge(chosen.model, scan, chosen.result, selector)
 
 
 def _attempt(
-    scan: Scan,
-    prepared: Prepared,
+    ready: Ready,
+    source: Prepared,
     model: Node,
     window: Window,
     recent: Sequence[Node],
     work: Work,
-    record: StepRecord,
 ) -> RegistrationResult | str:
     """The registration to one candidate, or why it is not believed."""
-    method = work.method
-    T_guess = work.predict(model, scan, recent)
+    method, record = work.method, ready.record
+    T_guess = work.predict(model, ready.scan, recent)
+    started = time.perf_counter()
     try:
-        with _timed(record, "t_prepare_s"):
-            target = method.target.build(model.scan, window, method.backend)
+        target = method.target.build(model.scan, window, method.backend)
+        built = time.perf_counter()
+        record.t_prepare_s += built - started
         record.registrations += 1
-        started = time.perf_counter()
-        result = work.register(prepared, target, T_guess)
-        if method.guess_along_degenerate is not None:
-            record.kept_guess = unseen(result, method.guess_along_degenerate)
-            result = remap(result, T_guess, method.guess_along_degenerate)
-        why_not = method.check.reject(result, T_guess)
-        spent = time.perf_counter() - started - (0.0 if result.reused else result.seconds)
+        result = work.register(source, target, T_guess)
+        if result.inliers < MIN_INLIERS:
+            why_not: str | None = f"{result.inliers} inliers: expected at least {MIN_INLIERS}"
+        else:
+            if method.guess_along_degenerate is not None:
+                record.kept_guess = unseen(result, method.guess_along_degenerate)
+                result = remap(result, T_guess, method.guess_along_degenerate)
+            why_not = method.check.reject(result, T_guess)
+        spent = time.perf_counter() - built - (0.0 if result.reused else result.seconds)
         record.t_register_s += result.seconds
         record.t_check_s += max(0.0, spent)
     except BackendError as error:
@@ -181,33 +210,58 @@ def _attempt(
     return result if why_not is None else why_not
 
 
-def _restart(
-    scan: Scan,
-    prepared: Prepared | None,
-    window: Window,
-    recent: Sequence[Node],
-    descriptor: Descriptor | None,
-    work: Work,
-    record: StepRecord,
-) -> Edge | None:
+def _restart(ready: Ready, window: Window, recent: Sequence[Node], work: Work) -> Edge | None:
     """Try the scan before, alone, although it matched nothing itself.
 
     Without this a window that nothing enters would grow old for ever. That two scans in a row
     match is what tells a place that the window does not know from noise.
     """
-    last = recent[-1]
-    if prepared is None or last.prepared is None:
+    last, record = recent[-1], ready.record
+    if ready.prepared is None or last.prepared is None:
         return None
     alone = Window(1)
     alone.push(last)
-    selection = _select(scan, alone, recent, descriptor, work, record)
+    selection = _select(ready, alone, recent, work)
     if not selection.candidates:
         return None
-    edge = _register(scan, prepared, alone, recent, selection, work, record)
+    edge = _register(ready, alone, recent, selection, work)
     if edge is not None:
         window.push(last, always=True)
         record.restart, record.reason = True, f"restart: {record.reason}"
     return edge
+
+
+def _place(
+    ready: Ready,
+    edge: Edge | None,
+    window: Window,
+    recent: Sequence[Node],
+    chain: PoseChain,
+    work: Work,
+) -> tuple[Node, Step, bool]:
+    """The scan with its pose, and whether it is kept out of the window: by the accepted edge, else
+    by the guess."""
+    scan, record, selector = ready.scan, ready.record, work.method.selector
+    edges: tuple[Edge, ...] = ()
+    lost = False
+    if not recent:
+        T_world_scan = chain.start(scan.index)
+    else:
+        lost = edge is None and _is_left_out(record, window, selector)
+        edges = (edge or _predict(scan, recent, work),)
+        T_world_scan = chain.add(edges[0])
+    hops, covariance = _behind(edges, window, recent, selector)
+    node = Node(
+        scan.index,
+        scan.stamp,
+        T_world_scan,
+        scan.odometry,
+        ready.prepared,
+        ready.descriptor,
+        hops,
+        covariance,
+    )
+    return node, Step(record, edges, T_world_scan), lost
 
 
 def _is_left_out(record: StepRecord, window: Window, selector: Selector) -> bool:
@@ -246,40 +300,3 @@ def _behind(
     if edge.covariance is None or model.covariance is None:
         return model.hops + 1, None
     return model.hops + 1, chained(model.covariance, edge.T_model_scan, edge.covariance)
-
-
-def _record(record: StepRecord, chosen: Trial, reason: str, threshold: float | None) -> None:
-    candidate, result = chosen.candidate, chosen.result
-    record.status = "fallback" if candidate.is_fallback else "registered"
-    record.reason = reason
-    record.model, record.gap = candidate.model, record.scan - candidate.model
-    record.score = candidate.score
-    record.converged = result.converged
-    record.fitness, record.inlier_rmse_m = result.fitness, result.inlier_rmse
-    record.iterations, record.reused = result.iterations, result.reused
-    record.library_fitness, record.library_rmse_m = result.library_fitness, result.library_rmse
-    if threshold is not None:
-        record.kept_guess = unseen(result, threshold)
-    if result.information is not None:
-        record.information = result.information.ravel().tolist()
-    if result.localizability is not None:
-        values, vectors = result.localizability.axes
-        record.localizability_min = float(values[0])
-        record.localizability = values.tolist()
-        record.weak_direction = vectors[:, 0].tolist()
-
-
-class _timed:  # noqa: N801 (reads as a word in a with statement)
-    """Add the block's wall time to a stage of the record."""
-
-    __slots__ = ("_record", "_stage", "_started")
-
-    def __init__(self, record: StepRecord, stage: str) -> None:
-        self._record, self._stage = record, stage
-
-    def __enter__(self) -> None:
-        self._started = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        spent = time.perf_counter() - self._started
-        setattr(self._record, self._stage, getattr(self._record, self._stage) + spent)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,9 @@ from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.guess.base import Guess
 from rbtm_bench.odometry import judge
 from rbtm_bench.selection.base import Selector
-from rbtm_bench.similarity.base import Descriptor, Similarity
+from rbtm_bench.selection.window import Window
+from rbtm_bench.similarity.band import Band, checked_scores
+from rbtm_bench.similarity.base import Descriptor, PairwiseSimilarity, Similarity
 from rbtm_bench.target.base import Target
 
 
@@ -33,6 +34,16 @@ class Method:
     """Keep the guess along directions of less localizability than this; None: never."""
 
 
+def band_of(method: Method) -> Band | None:
+    """Where the scores of scans with all those before them can be computed a block at a time."""
+    selector, similarity = method.selector, method.similarity
+    is_cheaper = isinstance(similarity, PairwiseSimilarity)  # others go pair by pair all the same
+    if not selector.needs_scores or similarity.needs_guess or not is_cheaper:
+        return None
+    window = selector.window()
+    return Band(similarity, window.capacity) if window.keyframes is None else None
+
+
 class Work:
     """What the loop asks of a method's plug-ins. An answer comes with the seconds that it cost:
     those of its computation, which whoever shares answers hands on with them."""
@@ -40,6 +51,7 @@ class Work:
     def __init__(self, method: Method) -> None:
         self.method = method
         judge.compile_kernels()  # never on a registration's time
+        self._band, self._band_seconds = band_of(method), 0.0
 
     def prepare(self, scan: Scan) -> tuple[Prepared, float]:
         """The prepared scan. Raises ``BackendError`` for one that the backend cannot use."""
@@ -47,23 +59,31 @@ class Work:
         prepared = self.method.backend.prepare(scan)
         return prepared, time.perf_counter() - started
 
-    def describe(self, scan: Scan) -> tuple[Descriptor, float]:
-        """The descriptor (D,) of a scan."""
+    def describe(self, scans: Sequence[Scan]) -> tuple[Descriptor, float]:
+        """The descriptors (N, D) of a block of scans, in the loop's order; seconds are a scan's."""
         started = time.perf_counter()
-        descriptor = self.method.similarity.describe(scan)
-        return descriptor, time.perf_counter() - started
+        descriptors = self.method.similarity.describe_all(scans)
+        described = time.perf_counter()
+        if self._band is not None and len(scans) > 1:
+            self._band.extend(np.array([scan.index for scan in scans]), descriptors)
+            self._band_seconds = (time.perf_counter() - described) / len(scans)
+        return descriptors, (described - started) / len(scans)
 
     def scores(
-        self, window: Descriptor, descriptor: Descriptor, motions: Array | None
+        self, window: Window, scan: int, descriptor: Descriptor, motions: Array | None
     ) -> tuple[Array, float]:
-        """Scores (W,) of the window's descriptors against one; with ``motions`` (W, 4, 4) under
-        these guesses."""
+        """Scores (W,) of the window's members for a described scan; with ``motions`` (W, 4, 4)
+        under these guesses."""
+        if self._band is not None:
+            known = self._band.scores(window.scans, scan)
+            if known is not None:
+                return known, self._band_seconds
         started = time.perf_counter()
         similarity = self.method.similarity
         if motions is None:
-            scores = similarity.scores(window, descriptor)
+            scores = similarity.scores(window.descriptors, descriptor)
         else:
-            scores = similarity.scores_under(window, descriptor, motions)
+            scores = similarity.scores_under(window.descriptors, descriptor, motions)
         seconds = time.perf_counter() - started
         return checked_scores(similarity, scores, (len(window),)), seconds
 
@@ -76,14 +96,3 @@ class Work:
     ) -> RegistrationResult:
         """The judged registration of a pair. Raises ``BackendError`` if it cannot be done."""
         return judge.register(self.method.backend, source, target, T_target_source)
-
-
-def checked_scores(similarity: Similarity, scores: Any, shape: tuple[int, ...]) -> Array:
-    """Scores as a similarity may give them: real numbers, finite or NaN. Raises ``ValueError``."""
-    name = type(similarity).__name__
-    if np.shape(scores) != shape or np.iscomplexobj(scores):
-        raise ValueError(f"{name}: scores of shape {np.shape(scores)}: expected real ones, {shape}")
-    checked = np.asarray(scores, dtype=np.float64)
-    if np.isinf(checked).any():
-        raise ValueError(f"{name}: a score is infinite: expected finite numbers, or NaN")
-    return checked

@@ -9,8 +9,8 @@ import numpy as np
 from rbtm_bench.backends.system import System, Tracked, Tracker
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import inverse
-from rbtm_bench.core.trajectory import PoseChain
 from rbtm_bench.core.types import Edge, Scan, Step, StepRecord
+from rbtm_bench.odometry.chain import PoseChain
 
 
 def system_odometry(scans: Iterable[Scan], system: System) -> Iterator[Step]:

@@ -20,10 +20,12 @@ from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.datasets.base import Dataset, Relations
 from rbtm_bench.odometry import judge
-from rbtm_bench.odometry.method import Method, Work, checked_scores
+from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.pairs.codec import pair_key
 from rbtm_bench.pairs.store import PairStore
-from rbtm_bench.similarity.base import Descriptor, Similarity
+from rbtm_bench.selection.window import Window
+from rbtm_bench.similarity.band import Band, checked_scores
+from rbtm_bench.similarity.base import BLOCK, Descriptor, Similarity
 
 T = TypeVar("T")
 
@@ -173,42 +175,51 @@ class KnownScores:
     def __init__(self, similarity: Similarity, dataset: Dataset) -> None:
         self._similarity = similarity
         started = time.perf_counter()
-        scans = (scan.without_truth() for scan in dataset)
-        self._descriptors: Descriptor = np.stack([similarity.describe(scan) for scan in scans])
+        self._descriptors: Descriptor = np.concatenate(
+            [similarity.describe_all(block) for block in _blocks_of(dataset)]
+        )
         self._describe_seconds = (time.perf_counter() - started) / max(1, len(dataset))
-        self._band: Array = np.zeros((len(dataset), 0))
+        self._band = Band(similarity, 0)
         self._score_seconds = 0.0
 
     def widen(self, width: int) -> None:
         """Have the scores of every scan with the ``width`` scans before it."""
-        if self._similarity.needs_guess or width <= self._band.shape[1]:
+        if self._similarity.needs_guess or width <= self._band.width:
             return
         started = time.perf_counter()
-        band = self._similarity.band(self._descriptors, width + 1)
-        self._band = checked_scores(self._similarity, band, (len(self._descriptors), width))
-        self._score_seconds = (time.perf_counter() - started) / self._band.size
+        self._band = Band(self._similarity, width)
+        self._band.extend(np.arange(len(self._descriptors)), self._descriptors)
+        self._score_seconds = (time.perf_counter() - started) / len(self._descriptors) / width
 
-    def describe(self, scan: Scan) -> tuple[Descriptor, float]:
-        """The scan's number, and what its descriptor took."""
-        return np.array([scan.index]), self._describe_seconds
+    def describe(self, scans: Sequence[Scan]) -> tuple[Descriptor, float]:
+        """The scans' numbers (N, 1), and what a scan's descriptor took."""
+        return np.array([[scan.index] for scan in scans]), self._describe_seconds
 
     def scores(
-        self, window: Descriptor, descriptor: Descriptor, motions: Array | None = None
+        self, window: Window, scan: int, motions: Array | None = None
     ) -> tuple[Array, float]:
         """As ``Work.scores``, of what ``describe`` handed out."""
-        scan, first, last = int(descriptor[0]), int(window[0, 0]), int(window[-1, 0])
-        in_band = last < scan and scan - first <= self._band.shape[1]
-        if in_band and last - first + 1 == len(window):
-            seconds = self._score_seconds * len(window)
-            return self._band[scan, scan - last - 1 : scan - first][::-1], seconds
+        known = self._band.scores(window.scans, scan)
+        if known is not None:
+            return known, self._score_seconds * len(window)
         started = time.perf_counter()
-        past, now = self._descriptors[window[:, 0]], self._descriptors[scan]
+        past, now = self._descriptors[window.descriptors[:, 0]], self._descriptors[scan]
         if motions is not None and self._similarity.needs_guess:
             scores = self._similarity.scores_under(past, now, motions)
         else:
             scores = self._similarity.scores(past, now)
         seconds = time.perf_counter() - started
         return checked_scores(self._similarity, scores, (len(window),)), seconds
+
+
+def _blocks_of(dataset: Dataset) -> Iterator[list[Scan]]:
+    """All scans, without truth, a block at a time."""
+    block: list[Scan] = []
+    for scan in dataset:
+        block.append(scan.without_truth())
+        if len(block) == BLOCK or scan.index == len(dataset) - 1:
+            yield block
+            block = []
 
 
 class SharedWork(Work):
@@ -228,15 +239,15 @@ class SharedWork(Work):
     def prepare(self, scan: Scan) -> tuple[Prepared, float]:
         return self._registrations.prepare(scan)
 
-    def describe(self, scan: Scan) -> tuple[Descriptor, float]:
-        return super().describe(scan) if self._scores is None else self._scores.describe(scan)
+    def describe(self, scans: Sequence[Scan]) -> tuple[Descriptor, float]:
+        return super().describe(scans) if self._scores is None else self._scores.describe(scans)
 
     def scores(
-        self, window: Descriptor, descriptor: Descriptor, motions: Array | None
+        self, window: Window, scan: int, descriptor: Descriptor, motions: Array | None
     ) -> tuple[Array, float]:
         if self._scores is None:
-            return super().scores(window, descriptor, motions)
-        return self._scores.scores(window, descriptor, motions)
+            return super().scores(window, scan, descriptor, motions)
+        return self._scores.scores(window, scan, motions)
 
     def predict(self, model: Node, scan: Scan, recent: Sequence[Node]) -> Array:
         if self._guesses is None:

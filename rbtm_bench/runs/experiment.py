@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -22,7 +22,7 @@ from rbtm_bench.core.errors import ConfigError, RbtmBenchError
 from rbtm_bench.core.files import make_folder, write_atomically, write_json, write_text
 from rbtm_bench.core.step_columns import STEPS
 from rbtm_bench.core.trajectory import Trajectory
-from rbtm_bench.core.types import Array, StepRecord
+from rbtm_bench.core.types import Array, Scan, StepTable
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.metrics.base import Metric, evaluated
 from rbtm_bench.metrics.cost import peak_memory_mb
@@ -45,6 +45,10 @@ Progress = Callable[[int, int], None]
 
 SIMILARITY_PICTURE = 181
 """Scans at most in the similarity matrix that a run keeps: the paper's Fig. 1(c)."""
+
+
+BLOCK = 256
+"""Scans that a run reads ahead."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,24 +215,33 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
     """The loop and its files; returns the loop's wall time in s."""
     started = time.perf_counter()
     dataset = parts.dataset
-    records: list[StepRecord] = []
-    poses: list[Array] = []
+    steps, poses = StepTable(), []
     truth: list[Array] = []
-    for scan, step in with_scans(dataset, parts.method, parts.work):
-        records.append(step.record)
+
+    def stream() -> Iterator[Scan]:
+        for scan in dataset:
+            known = scan.ground_truth is not None
+            truth.append(scan.ground_truth if known else np.full((4, 4), np.nan))  # type: ignore[arg-type]
+            yield scan
+
+    if isinstance(parts.method, System):
+        stepping = system_odometry(stream(), parts.method)
+    else:
+        stepping = odometry(stream(), parts.method, parts.work, BLOCK)
+    for step in stepping:
+        steps.add(step.record)
         poses.append(step.T_world_scan)
-        truth.append(np.full((4, 4), np.nan) if scan.ground_truth is None else scan.ground_truth)
         if progress:
-            progress(len(records), len(dataset))
+            progress(len(steps), len(dataset))
     seconds, memory = time.perf_counter() - started, peak_memory_mb()
-    stamps = np.array([record.stamp for record in records])
+    stamps = np.array(steps["stamp"])
     estimate = Trajectory(stamps, np.stack(poses))
     reference = Trajectory(stamps, np.stack(truth)) if dataset.has_ground_truth else None
-    write_steps(out / "steps.parquet", records)
+    write_steps(out / "steps.parquet", steps)
     estimate.write_tum(out / "trajectory.tum")
     if reference is not None and reference.known.all():
         reference.write_tum(out / "ground_truth.tum")
-    values: dict[str, Any] = summarise_steps(records, memory)
+    values: dict[str, Any] = summarise_steps(steps, memory)
     for metric in parts.metrics:
         values.update(evaluated(metric, estimate, reference, dataset))
         if isinstance(metric, RelationError) and dataset.relations is not None:
@@ -237,23 +250,6 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
     if settings.config["pictures"]:
         _write_pictures(parts, estimate, float(settings.config["map_resolution"]), out)
     return seconds
-
-
-def with_scans(dataset: Dataset, method: Method | System, work: Work | None = None) -> Any:
-    """Pairs (scan, step): the loop reads one scan and answers with one step."""
-    current: list[Any] = []
-
-    def stream() -> Any:
-        for scan in dataset:
-            current[:] = [scan]
-            yield scan
-
-    if isinstance(method, System):
-        steps = system_odometry(stream(), method)
-    else:
-        steps = odometry(stream(), method, work)
-    for step in steps:
-        yield current[0], step
 
 
 def _write_pictures(parts: Parts, estimate: Trajectory, resolution: float, out: Path) -> None:
@@ -283,7 +279,7 @@ def similarity_matrix(dataset: Dataset, similarity: Similarity) -> tuple[Any, Ar
     return scans, similarity.matrix(descriptors)
 
 
-def write_steps(path: Path, records: list[StepRecord]) -> None:
+def write_steps(path: Path, steps: StepTable) -> None:
     """``steps.parquet``: a row a scan, the columns of ``STEPS``."""
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -291,7 +287,7 @@ def write_steps(path: Path, records: list[StepRecord]) -> None:
     kinds = {"int": pa.int64(), "float": pa.float64(), "str": pa.string(), "bool": pa.bool_()}
     kinds["list"] = pa.list_(pa.float64())
     schema = pa.schema([(column.name, kinds[column.type]) for column in STEPS])
-    table = pa.Table.from_pylist([record.as_dict() for record in records], schema=schema)
+    table = pa.Table.from_pydict(steps.columns, schema=schema)
     write_atomically(path, lambda p: pq.write_table(table, p))
 
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Literal, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +26,83 @@ class Candidate(NamedTuple):
     is_fallback: bool = False
 
 
-@dataclass(frozen=True)
-class Selection:
-    """Candidates in the order in which they are to be tried; an empty list means "skip"."""
+class Candidates(Sequence[Candidate]):
+    """Candidates made when they are looked at: of hundreds that pass, one or two are tried."""
 
-    candidates: tuple[Candidate, ...]
-    undefined: int = 0
-    """How many of the window's scores were undefined (NaN)."""
+    def __init__(
+        self,
+        tried: Sequence[tuple[int, str]],
+        models: NDArray[np.int64],
+        scores: Array,
+        fallback: tuple[int, str] | None,
+        owner: str,
+    ) -> None:
+        """``tried`` and ``fallback`` are positions in the window with reasons; ``owner`` is the
+        selector's name."""
+        self._tried, self._models, self._scores = tried, models, scores
+        self._fallback, self._owner = fallback, owner
+
+    def __len__(self) -> int:
+        return len(self._tried) + (self._last() is not None)
+
+    def __bool__(self) -> bool:
+        return bool(self._tried) or self._fallback is not None
+
+    def __iter__(self) -> Iterator[Candidate]:
+        for position, reason in self._tried:
+            yield self._candidate(position, reason)
+        last = self._last()
+        if last is not None:
+            yield self._candidate(*last, is_fallback=True)
+
+    @overload
+    def __getitem__(self, index: int) -> Candidate: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Candidate, ...]: ...
+    def __getitem__(self, index: int | slice) -> Candidate | tuple[Candidate, ...]:
+        return tuple(self)[index]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(tuple(self))
+
+    def _last(self) -> tuple[int, str] | None:
+        """The fallback, unless it has been tried by then."""
+        last = self._fallback
+        if last is None or any(position == last[0] for position, _ in self._tried):
+            return None
+        return last
+
+    def _candidate(self, position: int, reason: str, is_fallback: bool = False) -> Candidate:
+        is_number = isinstance(position, int | np.integer) and not isinstance(position, bool)
+        if not is_number or not 0 <= position < len(self._models):
+            raise ValueError(
+                f"{self._owner} chose position {position!r} in a window of {len(self._models)}"
+            )
+        model, score = self._models.item(position), self._scores.item(position)
+        return Candidate(model, score, reason, is_fallback)
+
+
+class Selection:
+    """Candidates in the order in which they are to be tried (none: "skip"), how many of them the
+    selector ``chosen`` itself (the fallback is not), and how many of the window's scores were
+    ``undefined`` (NaN)."""
+
+    __slots__ = ("candidates", "chosen", "undefined")
+
+    def __init__(
+        self, candidates: Sequence[Candidate], undefined: int = 0, chosen: int | None = None
+    ) -> None:
+        self.candidates, self.undefined = candidates, undefined
+        self.chosen = chosen if chosen is not None else sum(not c.is_fallback for c in candidates)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Selection):
+            return NotImplemented
+        mine, theirs = (tuple(s.candidates) for s in (self, other))
+        return mine == theirs and self.undefined == other.undefined
 
 
 class Trial(NamedTuple):
@@ -113,22 +182,11 @@ class Selector(ABC):
         self, tried: list[tuple[int, str]], models: NDArray[np.int64], scores: Array
     ) -> Selection:
         """Candidates out of positions with reasons, and the fallback."""
-        numbers, values = models.tolist(), scores.tolist()
-        for i, _ in tried:
-            if (
-                isinstance(i, bool)
-                or not isinstance(i, int | np.integer)
-                or not 0 <= i < len(numbers)
-            ):
-                name = type(self).__name__
-                raise ValueError(f"{name} chose position {i!r} in a window of {len(numbers)}")
-        chosen = [Candidate(numbers[i], values[i], why) for i, why in tried]
         last = self._fallback(scores)
-        if last is not None and last not in [i for i, _ in tried]:
-            why = f"fallback {self.fallback}"
-            chosen.append(Candidate(numbers[last], values[last], why, True))
-        undefined = int(np.isnan(scores).sum()) if self.needs_scores else 0
-        return Selection(tuple(chosen), undefined)
+        fallback = None if last is None else (last, f"fallback {self.fallback}")
+        candidates = Candidates(tried, models, scores, fallback, type(self).__name__)
+        undefined = int(np.count_nonzero(np.isnan(scores))) if self.needs_scores else 0
+        return Selection(candidates, undefined, len(tried))
 
     def _fallback(self, scores: Array) -> int | None:
         newest = len(scores) - 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,10 @@ class Similarity(ABC):
     def describe(self, scan: Scan) -> Descriptor:
         """The descriptor (D,) of a scan."""
 
+    def describe_all(self, scans: Sequence[Scan]) -> Descriptor:
+        """The descriptors (N, D) of scans, the same bits as one by one."""
+        return np.stack([self.describe(scan) for scan in scans])
+
     @abstractmethod
     def scores(self, window: Descriptor, descriptor: Descriptor) -> Array:
         """Scores (W,) of the window's descriptors (W, D) against one descriptor (D,)."""
@@ -57,15 +62,16 @@ class Similarity(ABC):
         """Scores (N, N) of all pairs of N descriptors (N, D): Fig. 1(c) of the paper."""
         return self.pairwise(descriptors, descriptors)
 
-    def band(self, descriptors: Descriptor, window: int) -> Array:
-        """Scores (N, window - 1) of a whole log: column g - 1 holds S(j, j - g), NaN if g > j.
+    def band(self, descriptors: Descriptor, window: int, first: int = 0) -> Array:
+        """Scores (N - first, window - 1) of consecutive scans, from number ``first`` on: column
+        g - 1 of row j - first holds S(j, j - g), NaN if g > j.
 
         The same bits as ``scores`` gives a scan at a time. Memory: the band, one window's work.
         """
-        band = np.full((len(descriptors), window - 1), np.nan)
-        for j in range(1, len(descriptors)):
+        band = np.full((len(descriptors) - first, window - 1), np.nan)
+        for j in range(max(1, first), len(descriptors)):
             past = descriptors[max(0, j - window + 1) : j]
-            band[j, : len(past)] = self.scores(past, descriptors[j])[::-1]
+            band[j - first, : len(past)] = self.scores(past, descriptors[j])[::-1]
         return band
 
 
@@ -88,15 +94,15 @@ class PairwiseSimilarity(Similarity):
     def pairwise(self, rows: Descriptor, columns: Descriptor) -> Array:
         return self.pair_scores(rows[:, None], columns[None])
 
-    def band(self, descriptors: Descriptor, window: int) -> Array:
+    def band(self, descriptors: Descriptor, window: int, first: int = 0) -> Array:
         count = len(descriptors)
-        band = np.full((count, window - 1), np.nan)
-        for start in range(0, count, BLOCK):  # a block of descriptors stays in the cache
+        band = np.full((count - first, window - 1), np.nan)
+        for start in range(first, count, BLOCK):  # a block of descriptors stays in the cache
             stop = min(start + BLOCK, count)
             for gap in range(1, min(window, stop)):
-                first = max(start, gap)
-                past, now = descriptors[first - gap : stop - gap], descriptors[first:stop]
-                band[first:stop, gap - 1] = self.pair_scores(past, now)
+                j = max(start, gap)
+                past, now = descriptors[j - gap : stop - gap], descriptors[j:stop]
+                band[j - first : stop - first, gap - 1] = self.pair_scores(past, now)
         return band
 
 

@@ -8,20 +8,24 @@ setting is for and what was measured.
 from __future__ import annotations
 
 import functools
-from typing import Annotated, Literal
+from collections.abc import Callable, Sequence
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
+from numpy.typing import NDArray
 
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.similarity.base import (
+    BLOCK,
     Descriptor,
     PairwiseSimilarity,
     beam_spacing,
     require_beams,
 )
+from rbtm_bench.similarity.circular_sums import circular_sums
 from rbtm_bench.similarity.inner import inner
 
 NEGLIGIBLE_VARIANCE = 1e-9
@@ -72,50 +76,102 @@ class CurvatureCircular(PairwiseSimilarity):
         return self.describe_beams(scan.ranges, scan.angles)
 
     def describe_beams(self, ranges: Array, angles: Array) -> Array:
-        """As ``describe``, of beams (B,) in m (NaN: no return) at evenly spaced angles in rad."""
+        """As ``describe``, of beams (..., B) in m (NaN: no return) at evenly spaced angles (B,)."""
         h, cosine, sine = self._beams(angles)
         x, y = ranges * cosine, ranges * sine
-        dx, dy = x[2 * h :] - x[: -2 * h], y[2 * h :] - y[: -2 * h]
+        dx, dy = x[..., 2 * h :] - x[..., : -2 * h], y[..., 2 * h :] - y[..., : -2 * h]
         # exp(2i phi) without a trigonometric function: ((dx^2 - dy^2) + 2i dx dy) / (dx^2 + dy^2)
         square = dx * dx + dy * dy
         known = square > 0.0  # False for NaN
-        count = int(np.count_nonzero(known))
-        descriptor = np.zeros(3 * len(dx))
-        if count == 0:
-            return descriptor
         square = np.where(known, square, np.inf)
         real = np.where(known, dx * dx - dy * dy, 0.0) / square
         imag = np.where(known, 2.0 * dx * dy, 0.0) / square
+        count = np.maximum(1, np.count_nonzero(known, axis=-1))
         # rounding makes the variance of a perfect wall -1e-16: min_variance=0 must let it pass
-        mean_square = (float(real.sum()) ** 2 + float(imag.sum()) ** 2) / count**2
-        if max(0.0, 1.0 - mean_square) < self.min_variance:
-            return descriptor
-        np.concatenate([real, imag, known], out=descriptor)
+        mean_square = (real.sum(axis=-1) ** 2 + imag.sum(axis=-1) ** 2) / count**2
+        descriptor = np.concatenate([real, imag, known], axis=-1)
+        descriptor[np.maximum(0.0, 1.0 - mean_square) < self.min_variance] = 0.0
         return descriptor
 
+    def describe_all(self, scans: Sequence[Scan]) -> Array:
+        angles = scans[0].angles
+        if angles is None or any(
+            scan.angles is not angles or scan.ranges is None for scan in scans
+        ):
+            return super().describe_all(scans)
+        return self.describe_beams(np.stack([scan.ranges for scan in scans]), angles)  # type: ignore[misc]
+
     def pair_scores(self, rows: Descriptor, columns: Descriptor) -> Array:
+        if self.center:
+            return self._best_lag(rows, columns, lambda c: self._centred(rows, c))
+        shape = np.broadcast_shapes(rows.shape, columns.shape)
+        first, second = (np.broadcast_to(d, shape).reshape(-1, shape[-1]) for d in (rows, columns))
+        scores = self._runs(first, second, np.arange(len(first)), 1)
+        return scores.reshape(shape[:-1])
+
+    def scores(self, window: Descriptor, descriptor: Descriptor) -> Array:
+        if self.center:
+            return super().scores(window, descriptor)
+        return self._runs(window, descriptor[None], np.zeros(1, np.int64), len(window))[0]
+
+    def pairwise(self, rows: Descriptor, columns: Descriptor) -> Array:
+        if self.center:
+            return super().pairwise(rows, columns)
+        return self._runs(rows, columns, np.zeros(len(columns), np.int64), len(rows)).T
+
+    def band(self, descriptors: Descriptor, window: int, first: int = 0) -> Array:
+        if self.center:
+            return super().band(descriptors, window, first)
+        width, count = window - 1, len(descriptors)
+        band = np.full((count - first, width), np.nan)
+        for j in range(max(1, first), min(width, count)):
+            band[j - first, :j] = self.scores(descriptors[:j], descriptors[j])[::-1]
+        for start in range(max(width, first), count, BLOCK):
+            now = np.arange(start, min(start + BLOCK, count))
+            scores = self._runs(descriptors, descriptors[now], now - width, width)
+            band[now - first] = scores[:, ::-1]
+        return band
+
+    def _runs(
+        self, rows: Descriptor, columns: Descriptor, first: NDArray[np.int64], count: int
+    ) -> Array:
+        """Scores (C, count) of columns (C, D) with ``count`` rows from ``first`` (C,) on."""
+        rows, columns = np.ascontiguousarray(rows), np.ascontiguousarray(columns)
+
+        def mean(shifted: Descriptor) -> tuple[Array, Array, Array]:
+            sums = circular_sums(rows, shifted, first, count)
+            shared = sums[..., 0]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                return shared, sums[..., 1] / shared, sums[..., 2] / shared
+
+        return self._best_lag(rows, columns, mean)
+
+    def _best_lag(self, rows: Descriptor, columns: Descriptor, mean: Callable[..., Any]) -> Array:
+        """The best score over lags of what ``mean`` gives for shifted columns: shared beams, and
+        the real and imaginary part of the mean of u conj(v) over them."""
         beams = rows.shape[-1] // 3
-        lags = self._lags()
-        # beam b + lag of the row meets beam b of the column
-        scores = (self._score(rows, _shift(columns, lag, beams), lag, beams) for lag in lags)
+        scores = []
+        for lag in self._lags():  # beam b + lag of the row meets beam b of the column
+            shared, real, imag = mean(_shift(columns, lag, beams))
+            if self.lag_phase == "consistent":
+                phase = 2.0 * lag * (self._spacing or 0.0)
+                score = np.cos(phase) * real + np.sin(phase) * imag
+            else:
+                score = np.hypot(real, imag)
+            enough = shared >= max(1.0, self.min_valid_share * beams)
+            scores.append(np.where(enough, np.clip(score, -1.0, 1.0), np.nan))
         return functools.reduce(np.fmax, scores)
 
-    def _score(self, rows: Descriptor, columns: Descriptor, lag: int, beams: int) -> Array:
+    @staticmethod
+    def _centred(rows: Descriptor, columns: Descriptor) -> tuple[Array, Array, Array]:
+        beams = rows.shape[-1] // 3
         a, b, m = (columns[..., k * beams : (k + 1) * beams] for k in range(3))
         shared = inner(rows[..., 2 * beams :], m)
         real = inner(rows[..., : 2 * beams], columns[..., : 2 * beams])
         imag = inner(rows[..., beams : 2 * beams], a) - inner(rows[..., :beams], b)
         with np.errstate(divide="ignore", invalid="ignore"):
-            real, imag = real / shared, imag / shared
-            if self.center:
-                real, imag = _centred(real + 1j * imag, rows, columns, shared, beams)
-        if self.lag_phase == "consistent":
-            phase = 2.0 * lag * (self._spacing or 0.0)
-            score = np.cos(phase) * real + np.sin(phase) * imag
-        else:
-            score = np.hypot(real, imag)
-        enough = shared >= max(1.0, self.min_valid_share * beams)
-        return np.where(enough, np.clip(score, -1.0, 1.0), np.nan)
+            z = real / shared + 1j * (imag / shared)
+            return shared, *_centred(z, rows, columns, shared, beams)
 
     def _lags(self) -> range:
         most = round(np.radians(self.max_lag_deg) / abs(self._spacing)) if self._spacing else 0

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from rbtm_bench.core.geometry import inverse, translation_norm
-from rbtm_bench.core.types import Array, Scan, Step
+from rbtm_bench.core.types import Array, Scan, Step, StepTable
 from rbtm_bench.datasets.base import Dataset, beam_points
 from rbtm_bench.metrics.summary import summarise_steps
 from rbtm_bench.odometry.loop import odometry
@@ -93,7 +93,7 @@ def table(name: str, words: list[str], events: list[Event], longest: float) -> l
         predicted = off(across(known, event), across(guessed, event))
         for method, more in METHODS.items():
             steps = run([*words, *more], event, longest)
-            sums = summarise_steps([step.record for step in steps])
+            sums = summarise_steps(StepTable(step.record for step in steps))
             noise = sum(
                 step.record.model is not None and event.first <= step.record.model < event.last
                 for step in steps

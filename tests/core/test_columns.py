@@ -12,7 +12,7 @@ from rbtm_bench.cli import metrics_page
 from rbtm_bench.core.column import Column, page_rows
 from rbtm_bench.core.columns import COLUMNS, KNOWN, MAIN, is_cost, less_is_better
 from rbtm_bench.core.step_columns import STEPS
-from rbtm_bench.core.types import StepRecord
+from rbtm_bench.core.types import StepRecord, StepTable
 
 ADD = """
 import io, contextlib, json, sys
@@ -106,5 +106,6 @@ def test_a_step_has_the_declared_columns_and_no_others() -> None:
     assert list(record.as_dict()) == [column.name for column in STEPS]
     with pytest.raises(TypeError, match="no such columns of a step: fittnes"):
         StepRecord(0, 0.0, fittnes=1.0)
-    with pytest.raises(AttributeError):
-        record.fittnes = 1.0
+    record.fittnes = 1.0
+    with pytest.raises(TypeError, match="no such columns of a step: fittnes"):
+        StepTable([record])

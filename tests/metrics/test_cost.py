@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rbtm_bench.core.types import StepRecord
+from rbtm_bench.core.types import StepRecord, StepTable
 from rbtm_bench.metrics.cost import COLUMNS, cost, peak_memory_mb
 from rbtm_bench.metrics.summary import summarise_steps
 
@@ -20,13 +20,12 @@ def record(scan: int, stamp: float | None = None, **times_ms: float) -> StepReco
 
 
 def test_stages_by_hand():
-    values = cost(
-        [
-            record(0, prepare=2, describe=1),
-            record(1, prepare=2, describe=1, guess=4, select=3, register=10, check=5),
-            record(2, prepare=5, describe=1, guess=2, select=0, register=20, check=7),
-        ]
-    )
+    rows = [
+        record(0, prepare=2, describe=1),
+        record(1, prepare=2, describe=1, guess=4, select=3, register=10, check=5),
+        record(2, prepare=5, describe=1, guess=2, select=0, register=20, check=7),
+    ]
+    values = cost(StepTable(rows))
     assert list(values) == list(COLUMNS)
     assert values == pytest.approx(
         {
@@ -49,13 +48,13 @@ def test_stages_by_hand():
 
 
 def test_a_stage_that_never_took_place_has_no_time():
-    values = cost([record(0), record(1, register=3), record(2, register=5)])
+    values = cost(StepTable([record(0), record(1, register=3), record(2, register=5)]))
     assert values["ms_describe"] is values["ms_prepare"] is values["ms_check"] is None
     assert values["ms_register"] == values["ms_per_scan"] == pytest.approx(8 / 3)
 
 
 def test_without_scans_there_is_no_time():
-    assert set(cost([]).values()) == {None}
+    assert set(cost(StepTable([])).values()) == {None}
 
 
 @pytest.mark.parametrize(
@@ -72,11 +71,11 @@ def test_without_scans_there_is_no_time():
 def test_real_time_factor_is_the_sensor_s_interval_over_the_time_a_scan(stamps, interval_s):
     records = [record(i, stamp, register=20) for i, stamp in enumerate(stamps)]
     expected = None if interval_s is None else pytest.approx(interval_s / 0.020)
-    assert cost(records)["real_time_factor"] == expected
+    assert cost(StepTable(records))["real_time_factor"] == expected
 
 
 def test_no_time_no_factor():
-    assert cost([record(0), record(1)])["real_time_factor"] is None
+    assert cost(StepTable([record(0), record(1)]))["real_time_factor"] is None
 
 
 def test_peak_memory_is_this_process_s_and_never_falls():
@@ -101,6 +100,8 @@ def test_peak_memory_is_not_inherited():
 
 
 def test_a_run_s_summary_has_them():
-    values = summarise_steps([record(0), record(1, register=4)], 123.0)
+    values = summarise_steps(StepTable([record(0), record(1, register=4)]), 123.0)
     assert values["peak_memory_mb"] == 123.0
-    assert {key: values[key] for key in COLUMNS} == cost([record(0), record(1, register=4)], 123.0)
+    assert {key: values[key] for key in COLUMNS} == cost(
+        StepTable([record(0), record(1, register=4)]), 123.0
+    )

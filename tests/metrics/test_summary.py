@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rbtm_bench.core.types import StepRecord
+from rbtm_bench.core.types import StepRecord, StepTable
 from rbtm_bench.metrics.summary import COLUMNS, summarise_steps
 
 STATUS = {"r": "registered", "f": "fallback", "s": "skipped", "p": "predicted", "u": "unusable"}
@@ -16,7 +16,7 @@ def summary(words: str, restarts: tuple[int, ...] = ()) -> dict[str, float | int
     for scan, letter in enumerate(words, start=1):
         record = StepRecord(scan, 0.1 * scan, status=STATUS[letter], restart=scan in restarts)
         records.append(record)
-    return summarise_steps(records)
+    return summarise_steps(StepTable(records))
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_restarts_are_counted() -> None:
 
 
 def test_an_unusable_first_scan_is_no_skip() -> None:
-    assert summarise_steps([StepRecord(0, 0.0, status="unusable")])["longest_skip"] == 0
+    assert summarise_steps(StepTable([StepRecord(0, 0.0, status="unusable")]))["longest_skip"] == 0
 
 
 def test_what_registrations_hold_is_told_by_the_middle_one_and_by_who_is_below() -> None:
@@ -56,7 +56,7 @@ def test_what_registrations_hold_is_told_by_the_middle_one_and_by_who_is_below()
         for i, value in enumerate(held, start=1)
     ]
     records.append(StepRecord(5, 0.5, status="predicted", localizability_min=0.001, gap=99))
-    values = summarise_steps(records)
+    values = summarise_steps(StepTable(records))
     assert values["localizability"] == pytest.approx(0.025)
     assert values["degenerate"] == 1 / 4
     assert (values["mean_gap"], values["mean_fitness"], values["coverage"]) == (2.5, 0.5, 4 / 5)

@@ -13,6 +13,7 @@ from rbtm_bench.core.geometry import inverse, is_rigid, se2, se3
 from rbtm_bench.core.types import Array, Localizability, RegistrationResult
 from rbtm_bench.odometry.degeneracy import remap, unseen
 from rbtm_bench.odometry.judge import evaluate
+from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.runs.settings import compose_settings
 
 STEPS = np.arange(-2.0, 2.01, 0.05)
@@ -138,7 +139,7 @@ def run(*words: str):  # type: ignore[no-untyped-def]
     from rbtm_bench.runs import experiment
 
     parts = experiment.instantiate(compose_settings(list(words)))
-    return [step.record for _, step in experiment.with_scans(parts.dataset, parts.method)]
+    return [step.record for step in odometry(parts.dataset, parts.method)]
 
 
 def test_the_corridor_s_steps_say_what_they_see() -> None:

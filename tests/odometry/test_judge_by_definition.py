@@ -9,7 +9,8 @@ from rbtm_bench.backends.base import Prepared
 from rbtm_bench.core.geometry import se2, transform
 from rbtm_bench.core.types import Array
 from rbtm_bench.odometry import judge
-from rbtm_bench.odometry.judge import MAX_MATCHES, evaluate
+from rbtm_bench.odometry.judge import evaluate
+from rbtm_bench.odometry.judge_plane import COUNT, LEVER, MATRIX, MAX_MATCHES, USED, plane_sums
 
 RADIUS = 0.21
 
@@ -54,12 +55,10 @@ def by_definition(source: Array, target: Array, T: Array) -> tuple[int, int, Arr
 def assert_as_defined(source: Array, target: Array, T: Array) -> Array:
     """The compiled sums are those of the definition; the matrix."""
     count, used, matrix, lever = by_definition(source, target, T)
-    found = judge._planar_sums(
-        cloud(target).sorted, source, T[0, 0], T[1, 0], T[0, 3], T[1, 3], RADIUS
-    )
-    assert (found[0], found[4]) == (count, used)
-    assert found[3] == pytest.approx(lever, rel=1e-12)
-    np.testing.assert_allclose(found[2], matrix, rtol=0, atol=1e-9)
+    sums = plane_sums(*cloud(target).index, source, T, RADIUS)
+    assert (sums[COUNT], sums[USED]) == (count, used)
+    assert sums[LEVER] == pytest.approx(lever, rel=1e-12)
+    np.testing.assert_allclose(sums[MATRIX:].reshape(3, 3), matrix, rtol=0, atol=1e-9)
     return matrix
 
 
@@ -114,9 +113,10 @@ def test_three_points_are_a_surface_and_two_are_none() -> None:
     """Along x: three 0.1 m apart, and far from them two. Only the middle one sees all three."""
     x = np.array([0.0, 0.15, 0.3, 8.0, 8.1, -9.0])
     points = np.column_stack([x, np.ones((6, 1)), np.zeros((6, 1))])
-    found = judge._planar_sums(cloud(points).sorted, points, 1.0, 0.0, 0.0, 0.0, RADIUS)
-    assert (found[0], found[4]) == (6, 1)
-    assert found[2][1, 1] == pytest.approx(1.0) and found[3] == pytest.approx(np.hypot(0.15, 1.0))
+    sums = plane_sums(*cloud(points).index, points, np.eye(4), RADIUS)
+    assert (sums[COUNT], sums[USED]) == (6, 1)
+    assert sums[MATRIX + 4] == pytest.approx(1.0)
+    assert sums[LEVER] == pytest.approx(np.hypot(0.15, 1.0))
 
 
 # --- in space

@@ -9,9 +9,9 @@ import pytest
 from loop_helpers import Script, drive, method
 
 from rbtm_bench.odometry.loop import odometry
-from rbtm_bench.odometry.method import checked_scores
 from rbtm_bench.selection.previous import Previous
 from rbtm_bench.selection.rbtm import Rbtm
+from rbtm_bench.similarity.band import checked_scores
 
 
 @pytest.mark.parametrize(

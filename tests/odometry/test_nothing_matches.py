@@ -14,7 +14,7 @@ from step_helpers import steps as all_steps
 from sweep_helpers import script
 
 from rbtm_bench.core.geometry import inverse, rotation_angle, se2, translation_norm
-from rbtm_bench.core.types import Array, Node, Step
+from rbtm_bench.core.types import Array, Node, Step, StepTable
 from rbtm_bench.metrics.summary import summarise_steps
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.pairs.store import PairStore
@@ -194,7 +194,7 @@ def test_a_gap(log: Log) -> None:
     guessed = motion(log.run(GAP, "guess alone"), last, known)
     difference = inverse(guessed) @ motion(steps, last, known)
     assert translation_norm(difference) < 1e-9 and rotation_angle(difference) < 1e-9
-    assert summarise_steps([s.record for s in after[restart:]])["coverage"] > 0.75
+    assert summarise_steps(StepTable(s.record for s in after[restart:]))["coverage"] > 0.75
 
 
 def test_noise(log: Log) -> None:
@@ -207,7 +207,7 @@ def test_noise(log: Log) -> None:
     assert {step.edges[0].kind for step in bad} == {"predicted"}
     assert not {step.record.model for step in steps} & set(ten)
     rest = [step.record for step in steps if step.record.scan >= noise.last]
-    assert summarise_steps(rest)["coverage"] > 0.7
+    assert summarise_steps(StepTable(rest))["coverage"] > 0.7
     # with a fallback that always has an answer, noise is matched, and matched to
     assert {step.record.model for step in log.run(NOISE, "previous")} & set(ten)
 
@@ -215,9 +215,9 @@ def test_noise(log: Log) -> None:
 def test_endless_skipping_and_its_end(log: Log) -> None:
     """Without restarts the gap is the end of it: half of the log and more is never registered."""
     starved = log.run(GAP, "skip, no restart")
-    sums = summarise_steps([step.record for step in starved])
+    sums = summarise_steps(StepTable(step.record for step in starved))
     assert sums["coverage"] < 0.5 and sums["longest_skip"] > 100 and sums["restarts"] == 0
-    sums = summarise_steps([step.record for step in log.run(GAP, "skip")])
+    sums = summarise_steps(StepTable(step.record for step in log.run(GAP, "skip")))
     assert sums["coverage"] > 0.8 and sums["longest_skip"] < 30 and sums["restarts"] >= 1
 
 

@@ -15,7 +15,7 @@ from rbtm_bench.backends.system import System, Tracker
 from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import BackendError, ConfigError
 from rbtm_bench.core.geometry import se2
-from rbtm_bench.core.types import Array, Scan, Step
+from rbtm_bench.core.types import Array, Scan, Step, StepTable
 from rbtm_bench.metrics.summary import summarise_steps
 from rbtm_bench.odometry.system import system_odometry
 from rbtm_bench.runs import experiment
@@ -89,7 +89,7 @@ def test_rows_claim_no_model_scan_and_no_fitness() -> None:
         row = step.record
         assert (row.model, row.gap, row.score, row.fitness, row.reused) == (None,) * 5
         assert row.registrations == 1 and row.t_register_s > 0.0
-    values = summarise_steps([step.record for step in steps])
+    values = summarise_steps(StepTable(step.record for step in steps))
     assert values["coverage"] == 1.0 and values["registrations"] == 5
     assert values["mean_gap"] is None and values["mean_fitness"] is None
     assert values["reused"] is None and values["degenerate"] is None
@@ -102,14 +102,14 @@ def test_an_unusable_scan_gets_the_last_motion_again() -> None:
     assert [step.edges[0].kind for step in steps[1:4]] == ["system", "predicted", "predicted"]
     for number, step in enumerate(steps):  # the motion is constant, so all predictions are right
         np.testing.assert_allclose(step.T_world_scan, pose(number), atol=1e-12)
-    assert summarise_steps([step.record for step in steps])["coverage"] == 3 / 5
+    assert summarise_steps(StepTable(step.record for step in steps))["coverage"] == 3 / 5
 
 
 def test_a_prediction_does_not_count_as_registered() -> None:
     steps = run(Scripted(lost=(3,)))
     assert statuses(steps)[3] == "predicted" and steps[3].record.converged is False
     assert steps[3].edges[0].kind == "predicted"
-    assert summarise_steps([step.record for step in steps])["coverage"] == 4 / 5
+    assert summarise_steps(StepTable(step.record for step in steps))["coverage"] == 4 / 5
 
 
 def test_the_system_may_begin_late() -> None:
@@ -256,7 +256,7 @@ def test_the_workbench_gives_it_shared_scans_and_nothing_else() -> None:
     parts = [plain, bench.parts(settings), bench.parts(settings)]
     assert all(isinstance(part.method, System) for part in parts)
     poses = [
-        [step.T_world_scan.tobytes() for _, step in experiment.with_scans(p.dataset, p.method)]
+        [step.T_world_scan.tobytes() for step in system_odometry(p.dataset, p.method)]
         for p in parts
     ]
     assert poses[0] == poses[1] == poses[2]

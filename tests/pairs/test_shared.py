@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from loop_helpers import Perfect, drive
 
-from rbtm_bench.core.types import Array, Scan
+from rbtm_bench.core.types import Array, Node, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.odometry import judge
 from rbtm_bench.pairs.shared import Bounded, KnownRegistrations, KnownScores
+from rbtm_bench.selection.window import Window
 from rbtm_bench.similarity.base import Similarity
 
 # --- memory
@@ -70,7 +71,10 @@ def test_known_scores_are_those_of_the_window_oldest_first(width: int, models: l
     """Of scan 7; from the band where it reaches, and computed where it does not, or with gaps."""
     known = KnownScores(Apart(), Drive())
     known.widen(width)
-    scores, seconds = known.scores(np.array(models)[:, None], np.array([7]))
+    window = Window(10)
+    for model in models:
+        window.push(Node(model, 0.0, np.eye(4), descriptor=np.array([model])))
+    scores, seconds = known.scores(window, 7)
     assert scores.tolist() == [1.0 / (10 * model + 7) for model in models]
     assert seconds >= 0.0
 

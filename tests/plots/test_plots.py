@@ -18,7 +18,7 @@ from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.files import write_json, write_text
 from rbtm_bench.core.geometry import se2
 from rbtm_bench.core.trajectory import Trajectory
-from rbtm_bench.core.types import StepRecord
+from rbtm_bench.core.types import StepRecord, StepTable
 from rbtm_bench.plots import folder, labels, maps, matrix, methods, pairs, steps, style
 from rbtm_bench.runs import stored
 from rbtm_bench.runs.experiment import write_npz, write_steps
@@ -77,7 +77,7 @@ def make_run(
     write_json(path / "run.json", record)
     metrics = {"final_translation_error_mm": error, "final_along_mm": -3.0, "final_cross_mm": 2.0}
     write_json(path / "metrics.json", {**metrics, "mean_gap": 2.8, "rejected": 1})
-    write_steps(path / "steps.parquet", records(selector))
+    write_steps(path / "steps.parquet", StepTable(records(selector)))
     stamps = 0.1 * np.arange(N)
     estimate = np.stack([se2(0.1 * i, 0.01 * i, 0.0) for i in range(N)])
     Trajectory(stamps, estimate).write_tum(path / "trajectory.tum")

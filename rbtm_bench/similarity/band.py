@@ -1,0 +1,62 @@
+"""The scores of consecutive scans with those before them, a block of scans at a time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rbtm_bench.core.types import Array
+from rbtm_bench.similarity.base import Descriptor, Similarity
+
+
+class Band:
+    """Scores of scans with the ``width`` scans before each. Memory: a block and ``width`` scans."""
+
+    def __init__(self, similarity: Similarity, width: int) -> None:
+        self.similarity, self.width = similarity, width
+        self._descriptors: Descriptor | None = None
+        self._scores: Array = np.zeros((0, width))
+        self._first = 0  # the scan of the first row of scores
+        self._next: int | None = None
+
+    def extend(self, scans: NDArray[np.int64], descriptors: Descriptor) -> None:
+        """Score a block of scans (N,) by their descriptors (N, D); what is not in the order of
+        the scans, one after the other, has no scores."""
+        if len(scans) == 0 or (np.diff(scans) != 1).any():
+            self._next = self._descriptors = None
+            self._scores = np.zeros((0, self.width))
+            return
+        past = self._descriptors if scans[0] == self._next else None
+        together = descriptors if past is None else np.concatenate([past, descriptors])
+        band = self.similarity.band(together, self.width + 1, len(together) - len(scans))
+        self._scores = checked_scores(self.similarity, band, (len(scans), self.width))
+        self._first = int(scans[0])
+        self._next, self._descriptors = int(scans[-1]) + 1, together[-self.width :]
+
+    def scores(self, models: NDArray[np.int64], scan: int) -> Array | None:
+        """Scores (W,) of a scan with models (W,), oldest first; None where they are not in the
+        band."""
+        row, last, count = scan - self._first, int(models[-1]), len(models)
+        gap = scan - last
+        is_run = last - int(models[0]) + 1 == count
+        if (
+            not is_run
+            or gap < 1
+            or gap + count - 1 > self.width
+            or not 0 <= row < len(self._scores)
+        ):
+            return None
+        return self._scores[row, gap - 1 : gap + count - 1][::-1]
+
+
+def checked_scores(similarity: Similarity, scores: Any, shape: tuple[int, ...]) -> Array:
+    """Scores as a similarity may give them: real numbers, finite or NaN. Raises ``ValueError``."""
+    name = type(similarity).__name__
+    if np.shape(scores) != shape or np.iscomplexobj(scores):
+        raise ValueError(f"{name}: scores of shape {np.shape(scores)}: expected real ones, {shape}")
+    checked = np.asarray(scores, dtype=np.float64)
+    if np.isinf(checked).any():
+        raise ValueError(f"{name}: a score is infinite: expected finite numbers, or NaN")
+    return checked
