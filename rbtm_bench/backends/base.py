@@ -19,6 +19,7 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from rbtm_bench.backends.plane_index import PlaneIndex, plane_index
+from rbtm_bench.backends.space_index import SpaceIndex, space_index
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import to_plane, transform, voxel_downsample
 from rbtm_bench.core.rigid import all_finite, rigidity, symmetric_information
@@ -59,16 +60,17 @@ class Prepared:
     key: TargetKey = ()
 
     @cached_property
-    def tree(self) -> Any:
-        """Nearest-neighbour tree of a cloud's points, for the evaluator."""
-        from scipy.spatial import cKDTree
-
-        return cKDTree(self.points)
-
-    @cached_property
     def index(self) -> PlaneIndex:
-        """The same for planar points."""
+        """Where the judge finds the nearest of planar points."""
         return plane_index(self.points)
+
+    def cells(self, radius: float) -> SpaceIndex:
+        """Where it finds the nearest in space, within ``radius`` m; the last one made is kept."""
+        kept: SpaceIndex | None = self.__dict__.get("_cells")
+        if kept is None or self.__dict__["_radius"] != radius:
+            kept = space_index(self.points, radius)
+            self.__dict__.update(_cells=kept, _radius=radius)
+        return kept
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,19 +8,24 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.backends.plane_index import plane_index
-from rbtm_bench.core.geometry import symmetric, transform
+from rbtm_bench.backends.space_index import SpaceIndex, space_index
+from rbtm_bench.core.geometry import symmetric
 from rbtm_bench.core.rigid import all_finite, rigidity, symmetric_information
 from rbtm_bench.core.types import Array, Localizability, RegistrationResult
 from rbtm_bench.odometry.judge_plane import MATRIX, MAX_MATCHES, MIN_SURFACE, plane_sums
+from rbtm_bench.odometry.judge_space import space_matches, spreads
 
 MIN_INLIERS = 3
 """With fewer inliers a plane motion is not determined: never called converged."""
+MAX_POINTS = 4000
+"""Points of a cloud in space that are judged, evenly spread over it."""
 SURFACE_NEIGHBOURS = 20
 """Neighbours of a target point, at most, that its normal in space is computed from."""
 
@@ -35,23 +40,32 @@ class Evaluation(NamedTuple):
 
 
 def register(
-    backend: Backend, source: Prepared, target: Prepared, T_target_source: Array
+    backend: Backend,
+    source: Prepared,
+    target: Prepared,
+    T_target_source: Array,
+    most: int = MAX_POINTS,
 ) -> RegistrationResult:
-    """The backend's registration from the initial guess ``T_target_source`` (4, 4), judged.
+    """The backend's registration from the initial guess ``T_target_source`` (4, 4), judged by at
+    most ``most`` points of a cloud in space.
 
     ``converged`` is False, whatever the library says, when fewer than 3 source points lie within
     the backend's ``max_correspondence_distance`` of the target. Raises as ``Backend.register``.
     """
     compile_kernels()
     alignment = backend.register(source, target, T_target_source)
-    return judged(alignment, source, target, backend.max_correspondence_distance)
+    return judged(alignment, source, target, backend.max_correspondence_distance, most)
 
 
 def judged(
-    alignment: Alignment, source: Prepared, target: Prepared, radius: float
+    alignment: Alignment,
+    source: Prepared,
+    target: Prepared,
+    radius: float,
+    most: int = MAX_POINTS,
 ) -> RegistrationResult:
     """What a library says of a registration, and what we find within ``radius`` m."""
-    evaluation = evaluate(source, target, alignment.T_target_source, radius)
+    evaluation = evaluate(source, target, alignment.T_target_source, radius, most)
     return RegistrationResult(
         T_target_source=alignment.T_target_source,
         converged=False if evaluation.inliers < MIN_INLIERS else alignment.converged,
@@ -72,33 +86,40 @@ def compile_kernels() -> None:
     """Compile, or load from disk, what registering and judging call: never on a registration's
     time."""
     plane_sums(*plane_index(np.eye(3)), np.eye(3), np.eye(4), 9.0)
+    cells = space_index(np.eye(3), 1.0)
+    places, _ = space_matches(*cells, np.eye(3), np.eye(4), 1.0, 1)
+    spreads(*cells, places, SURFACE_NEIGHBOURS)
     rigidity(np.eye(4))
     symmetric_information(np.eye(6), True)
     all_finite(np.eye(3))
 
 
 def evaluate(
-    source: Prepared, target: Prepared, T_target_source: Array, radius: float
+    source: Prepared,
+    target: Prepared,
+    T_target_source: Array,
+    radius: float,
+    most: int = MAX_POINTS,
 ) -> Evaluation:
     """Fitness, inlier RMSE (m), inlier count and localizability.
 
     A source point is an inlier if its nearest target point is less than ``radius`` m away.
     Fitness is the share of inliers among source points (as in Open3D's
     ``evaluate_registration``). A target point's normal is the direction of least spread among its
-    neighbours within ``radius``.
+    neighbours within ``radius``. Of a cloud in space every k-th point is looked at, so that at most
+    ``most`` are; ``inliers`` is then k times those.
     """
     if target.planar:
         return _evaluate_2d(source, target, T_target_source, radius)
-    distance, match = target.tree.query(
-        transform(T_target_source, source.points), distance_upper_bound=radius
-    )
-    inlier = np.flatnonzero(distance < np.inf)
+    step = max(1, -(-len(source.points) // most))
+    index = target.cells(radius)
+    places, squares = space_matches(*index, source.points, T_target_source, radius, step)
+    inlier = np.flatnonzero(places >= 0)
     count = len(inlier)
-    matched = distance[inlier]
-    rmse = math.sqrt(np.dot(matched, matched) / count) if count else math.nan
+    rmse = math.sqrt(squares / count) if count else math.nan
     chosen = inlier[_spread(count)]
-    held = _localizability_3d(source.points[chosen], target, match[chosen], T_target_source, radius)
-    return Evaluation(count / len(source.points), rmse, count, held)
+    held = _localizability_3d(source.points[chosen * step], index, places[chosen], T_target_source)
+    return Evaluation(count / len(places), rmse, count * step, held)
 
 
 def _evaluate_2d(source: Prepared, target: Prepared, T: Array, radius: float) -> Evaluation:
@@ -115,20 +136,13 @@ def _spread(count: int) -> slice:
 
 
 def _localizability_3d(
-    points: Array, target: Prepared, match: Any, T: Array, radius: float
+    points: Array, index: SpaceIndex, places: NDArray[np.int64], T: Array
 ) -> Localizability | None:
-    """Of matched source points (M, 3) and the numbers (M,) of their target points."""
+    """Of matched source points (M, 3) and the places (M,) of their target points."""
     if len(points) < MIN_SURFACE:
         return None
-    count = min(SURFACE_NEIGHBOURS, len(target.points))
-    distance, index = target.tree.query(target.points[match], k=count, distance_upper_bound=radius)
-    inside = distance < np.inf
-    neighbours = target.points[np.where(inside, index, 0)]
-    total = inside.sum(axis=1)
-    weight = inside[..., None] / np.maximum(total, 1)[:, None, None]
-    offset = neighbours - (neighbours * weight).sum(axis=1, keepdims=True)
-    spread = np.einsum("mki,mkj->mij", offset * weight, offset)
-    has_normal = total >= MIN_SURFACE
+    counts, spread = spreads(*index, places, SURFACE_NEIGHBOURS)
+    has_normal = counts >= MIN_SURFACE
     if has_normal.sum() < MIN_SURFACE:
         return None
     n = np.linalg.eigh(spread[has_normal])[1][:, :, 0] @ T[:3, :3]

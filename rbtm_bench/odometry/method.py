@@ -32,6 +32,8 @@ class Method:
     target: Target
     guess_along_degenerate: float | None = None
     """Keep the guess along directions of less localizability than this; None: never."""
+    judge_points: int = judge.MAX_POINTS
+    """Points of a cloud in space that a registration is judged by, at most."""
 
 
 def band_of(method: Method) -> Band | None:
@@ -95,4 +97,5 @@ class Work:
         self, source: Prepared, target: Prepared, T_target_source: Array
     ) -> RegistrationResult:
         """The judged registration of a pair. Raises ``BackendError`` if it cannot be done."""
-        return judge.register(self.method.backend, source, target, T_target_source)
+        most = self.method.judge_points
+        return judge.register(self.method.backend, source, target, T_target_source, most)

@@ -106,11 +106,13 @@ class KnownRegistrations:
         common: bytes,
         scans: Bounded[tuple[Prepared, float]],
         results: Bounded[RegistrationResult | BackendError],
+        judge_points: int = judge.MAX_POINTS,
     ) -> None:
-        """``common`` tells this data set and backend from others in ``store`` and in the memories
-        ``scans`` and ``results``, which several backends share."""
+        """``common`` tells this data set, backend and ``judge_points`` from others in ``store``
+        and in the memories ``scans`` and ``results``, which several backends share."""
         self.backend, self._store, self._common = backend, store, common
         self.scans, self.results = scans, results
+        self._judge_points = judge_points
 
     def prepare(self, scan: Scan) -> tuple[Prepared, float]:
         """As ``Work.prepare``."""
@@ -154,7 +156,8 @@ class KnownRegistrations:
         self, source: Prepared, target: Prepared, T_target_source: Array
     ) -> RegistrationResult | BackendError:
         try:
-            return judge.register(self.backend, source, target, T_target_source)
+            most = self._judge_points
+            return judge.register(self.backend, source, target, T_target_source, most)
         except BackendError as error:
             return error.with_traceback(None)
 

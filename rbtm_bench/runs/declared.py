@@ -4,14 +4,22 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, NamedTuple
 
-from annotated_types import Gt, Lt
+from annotated_types import Ge, Gt, Lt
 from typing_extensions import TypedDict
 
 from rbtm_bench.core.kinds import Kind, Seed
 
 PLUGIN_GROUPS = ("dataset", "backend", "similarity", "selector", "guess", "check", "target")
 GROUPS = (*PLUGIN_GROUPS, "metrics")
-FOR_PAIRS = ("similarity", "selector", "guess", "check", "target", "guess_along_degenerate")
+FOR_PAIRS = (
+    "similarity",
+    "selector",
+    "guess",
+    "check",
+    "target",
+    "guess_along_degenerate",
+    "judge_points",
+)
 """The groups and settings that a backend which is a whole system does without."""
 
 
@@ -40,6 +48,7 @@ SHARED = {
     "time_limit": Shared(Annotated[float, Gt(0)] | None, Kind.HOW),
     "map_resolution": Shared(Annotated[float, Gt(0)], Kind.HOW),
     "guess_along_degenerate": Shared(Annotated[float, Gt(0), Lt(1)] | None, Kind.WHAT),
+    "judge_points": Shared(Annotated[int, Ge(100)], Kind.WHAT),
     "registration": Shared(None, Kind.FEED),
     "descriptor": Shared(None, Kind.FEED),
 }

@@ -130,6 +130,7 @@ def instantiate(settings: Settings) -> Parts:
     method = Method(
         **{g: build(config[g]) for g in PLUGIN_GROUPS if g != "dataset"},
         guess_along_degenerate=config["guess_along_degenerate"],
+        judge_points=config["judge_points"],
     )
     return Parts(dataset, method, build_metrics(config))
 

@@ -53,7 +53,8 @@ class Workbench:
         if is_system(config):  # it remembers, so nothing of it can be shared but the scans
             return experiment.Parts(dataset, experiment.build(config["backend"]), metrics)
         plain = {g: experiment.build(config[g]) for g in ("selector", "check", "target")}
-        known = self._once("backend", config["backend"], lambda: self._backend(config, dataset))
+        judged = [config["backend"], config["judge_points"]]
+        known = self._once("backend", judged, lambda: self._backend(config, dataset))
         guess_node = [config["guess"]]
         guess = experiment.build(config["guess"])
         if guess.pure:
@@ -64,6 +65,7 @@ class Workbench:
             similarity=experiment.build(config["similarity"]),
             guess=guess,
             guess_along_degenerate=config["guess_along_degenerate"],
+            judge_points=config["judge_points"],
             **plain,
         )
         guesses = None
@@ -103,7 +105,9 @@ class Workbench:
 
     def _backend(self, config: dict[str, Any], dataset: SharedDataset) -> KnownRegistrations:
         backend: Backend = experiment.build(config["backend"])
-        common = context(dataset.fingerprint(), config["backend"], versions_of(backend.requires))
+        most = config["judge_points"]
+        versions = versions_of(backend.requires)
+        common = context(dataset.fingerprint(), config["backend"], versions, most)
         # several backends take turns on one data set: the bound is for all of them
         others = [one for one in self._shared.values() if isinstance(one, KnownRegistrations)]
         if others:
@@ -111,7 +115,7 @@ class Workbench:
         else:
             scans = Bounded[tuple[Prepared, float]](self.bytes * SHARES["prepared"])
             results = Bounded[RegistrationResult | BackendError](self.bytes * SHARES["results"])
-        return KnownRegistrations(backend, self.store, common, scans, results)
+        return KnownRegistrations(backend, self.store, common, scans, results, most)
 
     def _scores(
         self, config: dict[str, Any], method: Method, dataset: SharedDataset
