@@ -110,17 +110,17 @@ class CurvatureCircular(PairwiseSimilarity):
         return scores.reshape(shape[:-1])
 
     def scores(self, window: Descriptor, descriptor: Descriptor) -> Array:
-        if self.center:
+        if not self._in_runs:
             return super().scores(window, descriptor)
         return self._runs(window, descriptor[None], np.zeros(1, np.int64), len(window))[0]
 
     def pairwise(self, rows: Descriptor, columns: Descriptor) -> Array:
-        if self.center:
+        if not self._in_runs:
             return super().pairwise(rows, columns)
         return self._runs(rows, columns, np.zeros(len(columns), np.int64), len(rows)).T
 
     def band(self, descriptors: Descriptor, window: int, first: int = 0) -> Array:
-        if self.center:
+        if not self._in_runs:
             return super().band(descriptors, window, first)
         width, count = window - 1, len(descriptors)
         band = np.full((count - first, width), np.nan)
@@ -131,6 +131,12 @@ class CurvatureCircular(PairwiseSimilarity):
             scores = self._runs(descriptors, descriptors[now], now - width, width)
             band[now - first] = scores[:, ::-1]
         return band
+
+    @property
+    def _in_runs(self) -> bool:
+        """Whether one kernel gives all scores: not centred ones, nor another class's idea of a
+        pair."""
+        return not self.center and type(self).pair_scores is CurvatureCircular.pair_scores
 
     def _runs(
         self, rows: Descriptor, columns: Descriptor, first: NDArray[np.int64], count: int
