@@ -38,6 +38,7 @@ SHARED = {
     "pairs": Shared(Pairs, Kind.HOW),
     "pin": Shared(bool, Kind.HOW),
     "time_limit": Shared(Annotated[float, Gt(0)] | None, Kind.HOW),
+    "memory_limit": Shared(Annotated[float, Gt(0)] | None, Kind.HOW),
     "map_resolution": Shared(Annotated[float, Gt(0)], Kind.HOW),
     "guess_along_degenerate": Shared(Annotated[float, Gt(0), Lt(1)] | None, Kind.WHAT),
     "registration": Shared(None, Kind.FEED),
