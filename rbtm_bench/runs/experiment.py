@@ -8,6 +8,7 @@ relation). Every file appears whole or not at all.
 
 from __future__ import annotations
 
+import contextlib
 import time
 import traceback
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from rbtm_bench.backends.system import System
-from rbtm_bench.core.errors import ConfigError, RbtmBenchError
+from rbtm_bench.core.errors import ConfigError, RbtmBenchError, WriteError
 from rbtm_bench.core.files import make_folder, write_atomically, write_json, write_text
 from rbtm_bench.core.step_columns import STEPS
 from rbtm_bench.core.trajectory import Trajectory
@@ -96,11 +97,16 @@ def _recorded(
     except BaseException as error:
         record["status"], record["reason"] = "failed", reason(error)
         record["traceback"] = traceback.format_exc()
+        with contextlib.suppress(WriteError):  # on a full disk the first file says it all
+            _finish(out, record)
         raise
-    finally:
-        record["finished"] = provenance.now()
-        write_json(out / "run.json", record)
+    _finish(out, record)
     return record
+
+
+def _finish(out: Path, record: dict[str, Any]) -> None:
+    record["finished"] = provenance.now()
+    write_json(out / "run.json", record)
 
 
 def fail(settings: Settings, out: Path, error: BaseException) -> None:
