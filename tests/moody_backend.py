@@ -14,6 +14,8 @@ from typing import Any
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.core.types import Array
 
+GOBBLE = 400_000_000
+"""Bytes that a greedy one takes."""
 CONFIGS = Path(__file__).parent / "moody_configs"
 
 
@@ -35,6 +37,15 @@ class Moody(Backend):
         return Alignment(T_target_source)
 
 
+def gobble() -> None:
+    """Take memory, bit by bit, and keep it."""
+    kept = []
+    for _ in range(10):
+        kept.append(b"x" * (GOBBLE // 10))
+        time.sleep(0.05)
+    time.sleep(600)
+
+
 def ill(how: str) -> None:
     """Raise, crash, hang or print."""
     moods: dict[str, Any] = {
@@ -45,6 +56,11 @@ def ill(how: str) -> None:
         "hang": lambda: time.sleep(600),
         "hang_in_c": lambda: ctypes.PyDLL(None).sleep(600),  # holds the interpreter's lock
         "fork_and_hang": lambda: subprocess.run(["sleep", "617"]),
+        "gobble": gobble,
+        "gobble_elsewhere": lambda: subprocess.run(
+            [sys.executable, "-c", f"import time; x = b'x' * {GOBBLE}; time.sleep(617)"],
+            start_new_session=True,
+        ),
         "print": lambda: os.system("echo noise; echo noise >&2"),
     }
     if how in moods:

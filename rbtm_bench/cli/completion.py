@@ -53,7 +53,7 @@ def complete(words: list[str]) -> int:
 
 
 def _hydra(words: list[str]) -> int:
-    from rbtm_bench.cli.runs import hydra_main
+    from rbtm_bench.runs.settings import hydra_main
 
     sys.argv[0] = "rbtm-bench"
     hydra_main(words, lambda cfg: None)

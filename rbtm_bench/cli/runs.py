@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.core.errors import ConfigError, RunError
-from rbtm_bench.engine.progress import bar, run_bar
+from rbtm_bench.engine.progress import bar
 
 if TYPE_CHECKING:
-    from rbtm_bench.engine.sweep_folder import Asked
     from rbtm_bench.runs.settings import Settings
 
 RUN_HELP = """\
@@ -27,7 +24,8 @@ examples
 
 The folder (out=DIR) holds config.yaml, run.json, steps.parquet (a row a scan), trajectory.tum,
 metrics.json, map.npz and, on data with relations, relations.parquet. An existing one is refused
-unless overwrite=true. time_limit=SECONDS ends a run that takes longer.
+unless overwrite=true. time_limit=SECONDS ends a run that takes longer, memory_limit=MB one that
+has more memory resident.
 rbtm-bench list shows the choices; --cfg job prints the composed settings."""
 
 COMPARE_HELP = """\
@@ -42,9 +40,9 @@ selector=random_gap draws its gaps from the comparison's own rbtm run.
 The folder (out=DIR) holds a run folder for every point, table.csv (a row a run) and summary.csv
 (a row a method, medians over seeds).
 
-A run that raises, kills its process or takes longer than time_limit=SECONDS (default null: no
-limit) is a row marked failed, with its reason; the others go on, and the exit code is 1. With
---fail-fast nothing new is started after the first failure.
+A run that raises, kills its process, takes longer than time_limit=SECONDS or more memory than
+memory_limit=MB (default null: no limit) is a row marked failed, with its reason; the others go on,
+and the exit code is 1. With --fail-fast nothing new is started after the first failure.
 
 Stopped by Ctrl-C, a crash or a reboot? rbtm-bench compare --resume DIR does what is missing."""
 
@@ -56,13 +54,13 @@ example
 
 out=DIR is the folder of the sweep; its runs are DIR/0, DIR/1, ...
 
-A run that raises, kills its process or takes longer than time_limit=SECONDS (default null: no
-limit) is a row marked failed, with its reason; the others go on, and the exit code is 1. With
---fail-fast nothing new is started after the first failure.
+A run that raises, kills its process, takes longer than time_limit=SECONDS or more memory than
+memory_limit=MB (default null: no limit) is a row marked failed, with its reason; the others go on,
+and the exit code is 1. With --fail-fast nothing new is started after the first failure.
 
 Stopped by Ctrl-C, a crash or a reboot? rbtm-bench sweep --resume DIR does what is missing: runs
-that are done stay as they are. It takes no settings but time_limit and Hydra's own, such as
-hydra/launcher=joblib."""
+that are done stay as they are. It takes no settings but time_limit, memory_limit and Hydra's own,
+such as hydra/launcher=joblib."""
 
 
 def parse(command: str, text: str, words: list[str]) -> tuple[argparse.Namespace, list[str]]:
@@ -112,7 +110,7 @@ def run(words: list[str]) -> int:
     settings = compose_settings(overrides, tuple(map(Path, options.config_dir)))
     out = Path(settings.config["out"] or default_folder("runs", settings.choices))
     with bar("scans") as progress:
-        if settings.config["time_limit"] is None:
+        if settings.config["time_limit"] is None and settings.config["memory_limit"] is None:
             experiment.run(settings, out, progress.update_to)
         else:
             _run_supervised(settings, out, progress.update_to)
@@ -121,7 +119,7 @@ def run(words: list[str]) -> int:
 
 
 def _run_supervised(settings: Settings, out: Path, progress: Any) -> None:
-    """A run that a time limit may end. Raises ``RunError`` if it fails."""
+    """A run that a limit of time or memory may end. Raises ``RunError`` if it fails."""
     from rbtm_bench.engine import one_run
     from rbtm_bench.engine.crew import Supervisor
     from rbtm_bench.runs.claim import refuse_existing
@@ -132,8 +130,7 @@ def _run_supervised(settings: Settings, out: Path, progress: Any) -> None:
         points = [Point("run", settings)]
         serves = one_run.foreign_to(points)
         supervisor.call(one_run.check_data, points, pin=settings.config["pin"], serves=serves)
-        limit = settings.config["time_limit"]
-        record = supervisor.run(out.name, settings, out, limit, progress)
+        record = supervisor.run(out.name, settings, out, progress)
     if record["status"] != "done":
         raise RunError(str(record["reason"]))
 
@@ -147,147 +144,34 @@ def pin_unless_lifted(overrides: list[str]) -> None:
 
 
 def compare(words: list[str]) -> int:
-    """``rbtm-bench compare``."""
+    """``rbtm-bench compare``: a grid whose points the cores of this machine make."""
     options, overrides = parse("compare", COMPARE_HELP, words)
     from rbtm_bench.cli import session
     from rbtm_bench.engine import drive
+    from rbtm_bench.engine.comparison import Comparison
 
     jobs = options.jobs if options.jobs is not None else drive.default_jobs()
     if jobs < 1:
         raise ConfigError(f"--jobs {jobs}: expected at least 1")
-    with session.asked("compare", words, options, overrides) as (asked, out):
-        return _compare(asked, out, jobs)
-
-
-def _compare(asked: Asked, resumed: Path | None, jobs: int) -> int:
-    """A comparison, or with a folder to resume the rest of it."""
-    from rbtm_bench.cli import session
-    from rbtm_bench.engine import drive, one_run, sweep_folder
-    from rbtm_bench.runs.grid import make_points
-
-    points, notes = make_points(asked.overrides, tuple(map(Path, asked.config_dirs)))
-    config = points[0].settings.config
-    out = resumed or Path(config["out"] or default_folder("compare"))
-    if not resumed:
-        refuse_to_overwrite(out, config)
-    for note in notes:
-        print(note, file=sys.stderr)
-    folders = [out / point.name for point in points]
-    rest = [point for point in points if not resumed or not _is_finished(point, out)]
-    with drive.make_crew(jobs, asked.command) as crew:
-        if rest:
-            serves = one_run.foreign_to(rest)
-            crew[0].call(one_run.check_data, rest, pin=config["pin"], serves=serves)
-        with session.claimed(asked, out, not resumed, config["overwrite"]):
-            sweep_folder.clear(out / point.name for point in rest)
-            failed: list[str] = []
-            with run_bar(len(points), len(points) - len(rest)) as progress:
-
-                def done(name: str, record: dict[str, Any]) -> None:
-                    if record["status"] != "done":
-                        failed.append(f"{name}: {record['reason']}")
-                        sweep_folder.tell_unwritten(out / name, record)
-                    registrations = sweep_folder.registrations(out / name)
-                    progress.ended(name, record["status"] == "done", *registrations)
-
-                left = drive.run_points(
-                    rest,
-                    out,
-                    jobs,
-                    done,
-                    fail_fast=asked.fail_fast,
-                    part=progress.part,
-                    crew=crew,
-                )
-    session.merge_pairs(points[0].settings, out)
-    return session.finish(out, folders, failed, left, len(points) - len(rest))
-
-
-def _is_finished(point: Any, out: Path) -> bool:
-    from rbtm_bench.engine import drive, sweep_folder
-
-    return sweep_folder.is_finished(out / point.name, drive.placed(point, out))
-
-
-def refuse_to_overwrite(out: Path, config: dict[str, Any]) -> None:
-    """Raise ``ConfigError`` if the folder holds anything and may not be overwritten."""
-    from rbtm_bench.runs.claim import refuse_existing
-
-    refuse_existing(out, bool(config["overwrite"]))
+    with session.asked("compare", words, options, overrides) as (asked, folder):
+        grid = Comparison.of(asked.overrides, tuple(map(Path, asked.config_dirs)), jobs)
+        out = folder or Path(grid.settings[0].config["out"] or default_folder("compare"))
+        return session.carry_out(grid, asked, out, resumed=folder is not None)
 
 
 def sweep(words: list[str]) -> int:
     """``rbtm-bench sweep``: Hydra's multirun over supervised runs."""
     options, overrides = parse("sweep", SWEEP_HELP, words)
     from rbtm_bench.cli import session
+    from rbtm_bench.engine.hydra_sweep import SweepPlan
 
-    if options.resume is not None:
-        with session.asked("sweep", words, options, overrides) as (asked, folder):
-            return _sweep(asked, folder, resumed=True)
-    out = None
-    kept = []
-    for word in overrides:
-        if word.partition("=")[0] == "out":
-            out = _one_folder(word)
-        else:
-            kept.append(word)
-    with session.asked("sweep", words, options, kept) as (asked, _):
-        return _sweep(asked, out, resumed=False)
-
-
-def _sweep(asked: Asked, out: Path | None, resumed: bool) -> int:
-    """A sweep, or the rest of it."""
-    from rbtm_bench.cli import session
-    from rbtm_bench.engine import hydra_sweep, sweep_folder
-
-    plan = hydra_sweep.SweepPlan.of(asked.overrides, tuple(map(Path, asked.config_dirs)))
-    for note in plan.notes:
-        print(note, file=sys.stderr)
-    config = plan.settings[0].config
-    out = out or Path(default_folder("sweeps"))
-    if not resumed:
-        refuse_to_overwrite(out, config)
-    whole = (
-        [p for p in sweep_folder.run_folders(out) if sweep_folder.is_whole(p)] if resumed else []
-    )
-    if plan.jobs is None or len(whole) < len(plan.jobs):
-        plan.check_data(asked)
-    with session.claimed(asked, out, not resumed, config["overwrite"]):
-        sweep_folder.clear(p for p in sweep_folder.run_folders(out) if p not in whole)
-        reused = {folder.name for folder in whole}
-        total = len(plan.jobs) if plan.jobs is not None else None
-        with (
-            run_bar(total, len(reused)) as progress,
-            hydra_sweep.watched(out, reused, progress, plan.one_process),
-        ):
-            broken = _launch(plan.words, out)
-    folders = sweep_folder.run_folders(out)
-    failed = sweep_folder.failures(folders)
-    left = plan.left(folders)
-    if broken:
-        print(f"rbtm-bench: the launcher gave up: {broken}", file=sys.stderr)
-        print(f"go on with: {sweep_folder.resume_command('sweep', out)}", file=sys.stderr)
-    session.merge_pairs(plan.settings[0], out)
-    code = session.finish(out, folders, failed, left, len(reused))
-    return max(code, 1 if broken else 0)
-
-
-def _launch(words: list[str], out: Path) -> str | None:
-    """Let Hydra launch the jobs; what its launcher ended by, if it did not get through."""
-    from rbtm_bench.core.errors import RbtmBenchError
-    from rbtm_bench.engine import sweep_folder
-    from rbtm_bench.runs.experiment import reason
-
-    folder = str(out.resolve()).replace("'", "\\'")  # workers may be at home elsewhere
-    try:
-        hydra_main(["--multirun", f"hydra.sweep.dir='{folder}'", *words], sweep_job)
-    except RbtmBenchError:
-        raise
-    except Exception as error:  # a worker that was killed, a disk that is full
-        sweep_folder.check_ctrl_c()
-        return reason(error)
-    sweep_folder.check_ctrl_c()
-    return None
+    named = [] if options.resume else [word for word in overrides if word.startswith("out=")]
+    kept = [word for word in overrides if word not in named]
+    out = _one_folder(named[-1]) if named else None
+    with session.asked("sweep", words, options, kept) as (asked, folder):
+        grid = SweepPlan.of(asked.overrides, tuple(map(Path, asked.config_dirs)))
+        out = folder or out or Path(default_folder("sweeps"))
+        return session.carry_out(grid, asked, out, resumed=folder is not None)
 
 
 def _one_folder(word: str) -> Path | None:
@@ -304,36 +188,15 @@ def _one_folder(word: str) -> Path | None:
 
 def hydra_itself(words: list[str]) -> int:
     """Hydra's own answers: ``--cfg``, ``--info``, ``--hydra-help``."""
-    hydra_main(words, sweep_job)
+    from rbtm_bench.runs.settings import hydra_main
+
+    def task(cfg: Any) -> None:
+        from rbtm_bench.engine import hydra_sweep
+
+        hydra_sweep.run_job(cfg)
+
+    hydra_main(words, task)
     return 0
-
-
-def hydra_main(words: list[str], task: Any) -> None:
-    """Call Hydra with our configs; its errors become ours."""
-    import hydra
-    from hydra.errors import HydraException
-    from omegaconf.errors import OmegaConfBaseException
-
-    from rbtm_bench.runs.settings import config_dir, explain
-
-    argv, before = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
-    sys.argv = ["rbtm-bench", *words]
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises instead of printing and exiting with 1
-    try:
-        hydra.main(config_path=str(config_dir()), config_name="config", version_base="1.3")(task)()
-    except (HydraException, OmegaConfBaseException) as error:
-        raise ConfigError(explain(error)) from error
-    finally:
-        sys.argv = argv
-        if before is None:
-            del os.environ["HYDRA_FULL_ERROR"]
-
-
-def sweep_job(cfg: Any) -> None:
-    """One job of a sweep, in whatever process the launcher runs it."""
-    from rbtm_bench.engine import hydra_sweep
-
-    hydra_sweep.run_job(cfg)
 
 
 def default_folder(kind: str, choices: dict[str, str] | None = None) -> str:

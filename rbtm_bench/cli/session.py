@@ -1,4 +1,4 @@
-"""What compare and sweep share: what was asked, the claim on a folder, and the end."""
+"""What compare and sweep share: what was asked, and the table at the end."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ import argparse
 import contextlib
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from rbtm_bench.core.files import make_folder
 from rbtm_bench.engine import sweep_folder
+from rbtm_bench.engine.driver import Grid, drive
 from rbtm_bench.engine.sweep_folder import Asked, Kind
 from rbtm_bench.report import screen
-from rbtm_bench.runs.claim import refuse_existing
 from rbtm_bench.runs.settings import Settings
 
 
@@ -44,32 +43,14 @@ def asked(
         yield replace(resumed, cwd=os.getcwd()), folder
 
 
-@contextlib.contextmanager
-def claimed(asked: Asked, out: Path, begin: bool, overwrite: bool) -> Iterator[None]:
-    """The folder for this process alone, with what was asked for written into it. Ctrl-C says
-    how to go on. With ``begin`` it must hold nothing yet: whoever was faster may have begun."""
-    make_folder(out)
-    with sweep_folder.at_work(out):
-        if begin:
-            refuse_existing(out, overwrite)
-        asked.write(out)
-        (out / sweep_folder.STOP).unlink(missing_ok=True)
-        try:
-            with sweep_folder.minding_ctrl_c():
-                yield
-        except KeyboardInterrupt:
-            print(
-                f"rbtm-bench: {sweep_folder.count_done(out)} finished runs stay; the rest: "
-                f"{sweep_folder.resume_command(asked.kind, out)}",
-                file=sys.stderr,
-            )
-            raise
-
-
-def finish(
-    out: Path, folders: Sequence[Path], failed: list[str], left: list[str], reused: int
-) -> int:
-    """Table and verdict, what failed and what was left; the exit code."""
+def carry_out(grid: Grid, asked: Asked, out: Path, resumed: bool) -> int:
+    """Make a grid's runs; table and verdict, what failed and what was left; the exit code."""
+    ended = drive(grid, asked, out, resumed)
+    if ended.broken:
+        print(f"rbtm-bench: the launcher gave up: {ended.broken}", file=sys.stderr)
+        print(f"go on with: {sweep_folder.resume_command(asked.kind, out)}", file=sys.stderr)
+    merge_pairs(grid.settings[0], out)
+    folders, failed, left = ended.folders, ended.failed, ended.left
     runs = [folder for folder in folders if (folder / "run.json").is_file()]
     code = 0
     if runs:
@@ -80,13 +61,13 @@ def finish(
         except OSError as error:
             code = 1
             print(f"rbtm-bench: no table: {error}", file=sys.stderr)
-    if reused:
-        print(f"{reused} of {len(folders)} runs were done before", file=sys.stderr)
+    if ended.reused:
+        print(f"{ended.reused} of {len(folders)} runs were done before", file=sys.stderr)
     if left:
         print(f"{len(left)} runs were not started: {', '.join(left)}", file=sys.stderr)
     if failed:  # the summary lists them with their reasons
         print(f"rbtm-bench: {len(failed)} of {len(folders)} runs failed", file=sys.stderr)
-    return 1 if failed or left or not runs else code
+    return 1 if failed or left or ended.broken or not runs else code
 
 
 def merge_pairs(settings: Settings, out: Path) -> None:

@@ -34,3 +34,10 @@ class BackendError(RbtmBenchError):
 
 class RunError(RbtmBenchError):
     """A run could not be finished."""
+
+
+class WriteError(RunError, OSError):
+    """A file could not be written: made with an error number, its words and the file's path."""
+
+    def __str__(self) -> str:
+        return f"{self.filename}: cannot be written: {self.strerror}"

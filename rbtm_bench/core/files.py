@@ -8,15 +8,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.errors import ConfigError, WriteError
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
-    """Call ``write`` with a temporary path beside ``path``, then move it into place."""
+    """Call ``write`` with a temporary path beside ``path``, then move it into place.
+
+    Raises ``WriteError`` naming ``path`` where that cannot be done, as on a full disk.
+    """
     partial = path.with_name(f".{os.getpid()}.partial.{path.name}")
     try:
         write(partial)
         os.replace(partial, path)
+    except OSError as error:
+        why = os.strerror(error.errno) if error.errno else str(error)
+        raise WriteError(error.errno, why, str(path)) from error
     finally:
         partial.unlink(missing_ok=True)
 

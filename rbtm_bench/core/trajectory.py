@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.files import write_atomically
@@ -78,6 +77,7 @@ class Trajectory:
         """
         from evo.core.trajectory import PoseTrajectory3D
         from evo.tools.file_interface import write_tum_trajectory_file
+        from scipy.spatial.transform import Rotation
 
         if len(self) == 0 or not self.known.all() or not np.isfinite(self.stamps).all():
             raise DataError(f"{path}: a TUM file needs at least one pose, and every pose known")
@@ -107,6 +107,7 @@ class Trajectory:
         number that is not finite or a quaternion whose norm is off 1 by more than 1e-3.
         """
         from evo.tools.file_interface import FileInterfaceException, read_tum_trajectory_file
+        from scipy.spatial.transform import Rotation
 
         try:
             with open(path, encoding="utf-8-sig", newline="") as file:

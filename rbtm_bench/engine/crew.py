@@ -38,6 +38,8 @@ Progress = Callable[[int, int], None]
 
 POLL_S = 0.5
 """How often a waiting parent looks whether its child still lives."""
+MEMORY_POLL_S = 0.1
+"""How often it looks at a child's memory, if that has a limit."""
 START_S = 120.0
 """A child that is not ready by then counts as broken."""
 CLOSE_S = 10.0
@@ -54,6 +56,10 @@ class ChildError(RunError):
     """The child died before it answered. ``trace`` says where it was, if it could still tell."""
 
     trace = ""
+
+
+class LimitError(RunError):
+    """The child took more than it may: of time, or of memory."""
 
 
 class StoppedError(RunError):
@@ -107,10 +113,14 @@ class Child:
             raise
         return child
 
-    def receive(self, deadline: float | None = None) -> Any:
-        """The child's next message. Raises ``TimeoutError`` or ``ChildError``."""
+    def receive(self, deadline: float | None = None, memory_limit: float | None = None) -> Any:
+        """The child's next message. Raises ``TimeoutError``, ``LimitError`` where it has more than
+        ``memory_limit`` MB resident, or ``ChildError``."""
         while True:
-            left = POLL_S if deadline is None else min(POLL_S, deadline - time.monotonic())
+            left = POLL_S if memory_limit is None else MEMORY_POLL_S
+            left = left if deadline is None else min(left, deadline - time.monotonic())
+            if memory_limit is not None:
+                self._refuse_beyond(memory_limit)
             try:
                 if self.channel.poll(max(left, 0.0)):
                     return self.channel.recv()
@@ -121,6 +131,11 @@ class Child:
                 raise self._post_mortem()
             if deadline is not None and time.monotonic() >= deadline:
                 raise TimeoutError
+
+    def _refuse_beyond(self, memory_limit: float) -> None:
+        used = resident_mb(self.process.pid)
+        if used > memory_limit:
+            raise LimitError(f"more than memory_limit={memory_limit:g} MB ({used:.0f} MB)")
 
     def _exited(self) -> bool:
         """True if the process has ended. It stays a zombie: nobody else gets its number."""
@@ -147,8 +162,12 @@ class Child:
         """End the process, and those that it has started, at once; from any thread."""
         with self._lock:
             if self.process.returncode is None:
+                _, *others = tree(self.process.pid)
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(self.process.pid, signal.SIGKILL)
+                for pid in others:  # those that have left its group
+                    with contextlib.suppress(ProcessLookupError):
+                        os.kill(pid, signal.SIGKILL)
                 self.process.wait()
 
     def end(self, patience: float = 0.0) -> None:
@@ -187,12 +206,12 @@ class Supervisor:
         name: str,
         settings: Settings,
         out: Path,
-        time_limit: float | None = None,
         progress: Progress | None = None,
     ) -> dict[str, Any]:
         """One run in the child; returns its ``run.json`` whatever happens to the child.
 
-        The ``time_limit``, in s, counts from when the child begins. Raises ``StoppedError`` when
+        The settings' ``time_limit``, in s, counts from when the child begins; ``memory_limit``, in
+        MB, is for the child and the processes that it has started. Raises ``StoppedError`` when
         ``kill`` is called: the run then stays "started".
         """
         from rbtm_bench.engine.one_run import ended_by, run_one
@@ -202,9 +221,10 @@ class Supervisor:
         try:
             job = (run_one, (name, settings, out.absolute()))
             serves = foreign_modules(settings.config)
-            _, record = self._ask(job, pin, time_limit, progress, serves)
-        except TimeoutError:
-            return ended_by(RunError(f"time limit of {time_limit:g} s"), settings, out)
+            limits = (settings.config.get("time_limit"), settings.config.get("memory_limit"))
+            _, record = self._ask(job, pin, limits, progress, serves)
+        except LimitError as error:
+            return ended_by(error, settings, out)
         except ChildError as error:
             return ended_by(error, settings, out, error.trace)
         return dict(record)
@@ -224,18 +244,23 @@ class Supervisor:
         self,
         job: tuple[Callable[..., Any], tuple[Any, ...]],
         pin: bool,
-        time_limit: float | None = None,
+        limits: tuple[float | None, float | None] = (None, None),
         progress: Progress | None = None,
         serves: frozenset[str] = frozenset(),
     ) -> Any:
-        """Hand over a job and wait for the answer. Without an answer the child is gone."""
+        """Hand over a job and wait for the answer, with ``limits`` in s and MB. Without an answer
+        the child is gone."""
+        time_limit, memory_limit = limits
         message = (*job, list(self.argv or sys.argv), progress is not None)
         try:
             child = self._begin(pickle.dumps(message), pin, serves)
             deadline = None if time_limit is None else time.monotonic() + time_limit
-            while (reply := child.receive(deadline))[0] == "progress":
+            while (reply := child.receive(deadline, memory_limit))[0] == "progress":
                 if progress is not None:
                     progress(*reply[1])
+        except TimeoutError:
+            self._drop()
+            raise LimitError(f"time limit of {time_limit:g} s") from None
         except BaseException as error:
             self._drop()
             if self._stopped and isinstance(error, ChildError):
@@ -321,6 +346,27 @@ def cause_of_death(code: int) -> str:
     except ValueError:
         name = "unknown"
     return f"signal {-code} ({name}{'; perhaps out of memory' if name == 'SIGKILL' else ''})"
+
+
+def tree(pid: int) -> list[int]:
+    """A process and its descendants, also those in sessions of their own."""
+    found = [pid]
+    for one in found:
+        with contextlib.suppress(OSError):
+            for thread in Path("/proc", str(one), "task").iterdir():
+                with contextlib.suppress(OSError):
+                    found += map(int, (thread / "children").read_text().split())
+    return found
+
+
+def resident_mb(pid: int) -> float:
+    """What a process and its descendants have resident, in MB (10^6 bytes). Pages that several
+    share count for each; a process that has just ended counts as nothing."""
+    pages = 0
+    for one in tree(pid):
+        with contextlib.suppress(OSError, IndexError):
+            pages += int(Path("/proc", str(one), "statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") * 1e-6
 
 
 def _scratch_file() -> IO[bytes]:

@@ -112,8 +112,7 @@ def _supervised(
 ) -> dict[str, Any]:
     settings = placed(point, out)
     progress = functools.partial(part, point.name) if part else None
-    limit = settings.config.get("time_limit")
-    return supervisor.run(point.name, settings, out / point.name, limit, progress)
+    return supervisor.run(point.name, settings, out / point.name, progress)
 
 
 def default_jobs() -> int:

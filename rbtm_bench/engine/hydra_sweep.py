@@ -8,20 +8,30 @@ import importlib.util
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.errors import ConfigError, RbtmBenchError
 from rbtm_bench.engine import drive, one_run, sweep_folder
 from rbtm_bench.engine.crew import Supervisor, own_supervisor
+from rbtm_bench.engine.driver import Grid, Told
 from rbtm_bench.engine.progress import RunBar
 from rbtm_bench.engine.sweep_folder import Asked
+from rbtm_bench.runs.experiment import reason
 from rbtm_bench.runs.grid import Point, one_way_to_run, values_beside_first
-from rbtm_bench.runs.settings import Settings, composed, composing, from_hydra, parsed
+from rbtm_bench.runs.settings import (
+    Settings,
+    compose_settings,
+    composed,
+    composing,
+    from_hydra,
+    hydra_main,
+    parsed,
+)
 
 LAUNCHERS = {
     "ray": ("hydra_plugins.hydra_ray_launcher", "ray"),
@@ -33,21 +43,22 @@ LAUNCHERS = {
 POLL_S = 0.5
 """How often the bar looks for runs that have ended."""
 
-_bar: RunBar | None = None
-"""The bar that runs of this very process report their scans to."""
+MOST_COMPOSED = 64
+"""Jobs, at most, that are composed to say what they will ask for: each takes Hydra 0.06 s."""
+
+_here: tuple[Supervisor, RunBar] | None = None
+"""What runs of this very process use, where the sweep runs in it."""
 
 
 @dataclass(frozen=True)
-class SweepPlan:
-    """What a sweep will do: settings in which every value occurs, first point first; the words of
-    every job, None where a sweeper makes them up as it goes; Hydra's words; is it one process?;
-    notes on points that are one."""
+class SweepPlan(Grid):
+    """The jobs of a sweep, made by one of Hydra's launchers: the words of every job, None where a
+    sweeper makes them up as it goes; Hydra's words; is it one process?"""
 
-    settings: list[Settings]
     jobs: list[list[str]] | None
     words: list[str]
     one_process: bool
-    notes: list[str]
+    extra_dirs: tuple[Path, ...]
 
     @classmethod
     def of(cls, overrides: list[str], extra_dirs: tuple[Path, ...]) -> SweepPlan:
@@ -65,33 +76,60 @@ class SweepPlan:
             jobs = None if fixed is None else _product([*fixed, *task])
         settings = values_beside_first([*(fixed or []), *task], extra_dirs)
         _require_own_stores(node.launcher, settings)
-        alone = str(node.launcher.get("_target_")).endswith(".BasicLauncher")
-        return cls(settings, jobs, [*extra, *hydra_words, *task], alone, notes)
+        kind, at_once = str(node.launcher.get("_target_")), None
+        alone = kind.endswith(".BasicLauncher")
+        if kind.endswith(".JoblibLauncher"):
+            at_once = int(node.launcher.get("n_jobs") or -1)
+            at_once = at_once if at_once > 0 else max(1, drive.default_jobs() + 1 + at_once)
+        words = [*extra, *hydra_words, *task]
+        return cls(settings, notes, 1 if alone else at_once, jobs, words, alone, extra_dirs)
 
-    def check_data(self, asked: Asked) -> None:
-        """Open all data in a child, which does the runs as well where this is the one process.
+    @property
+    def labels(self) -> dict[str, str] | None:
+        if self.jobs is None:
+            return None
+        return {str(number): f"{number} ({' '.join(job)})" for number, job in enumerate(self.jobs)}
 
-        Raises ``DataError`` or ``ConfigError``.
-        """
+    def finished(self, out: Path) -> set[str]:
+        return {p.name for p in sweep_folder.run_folders(out) if sweep_folder.is_whole(p)}
+
+    def to_check(self, kept: set[str]) -> tuple[list[Point], list[Point] | str]:
         points = [Point(str(number), settings) for number, settings in enumerate(self.settings)]
-        pin = bool(self.settings[0].config["pin"])
-        serves = one_run.foreign_to(points)
-        if self.one_process:
-            own_supervisor(_place(asked), asked.command).call(
-                one_run.check_data, points, pin=pin, serves=serves
-            )
-        else:
-            with Supervisor() as supervisor:
-                supervisor.call(one_run.check_data, points, pin=pin, serves=serves)
+        if self.jobs is None:
+            return points, "the sweeper makes up its jobs as it goes"
+        if len(self.jobs) == len(points) and not kept:
+            return points, points
+        rest = [(str(n), job) for n, job in enumerate(self.jobs) if str(n) not in kept]
+        if len(rest) > MOST_COMPOSED:
+            return points, f"more than {MOST_COMPOSED} jobs are not looked into"
+        made = []
+        for name, job in rest:
+            with contextlib.suppress(ConfigError):  # such a job fails, and asks for nothing
+                made.append(Point(name, compose_settings(job, self.extra_dirs)))
+        return points, made
 
-    def left(self, folders: list[Path]) -> list[str]:
-        """The jobs that have no run, by number and words."""
-        begun = {folder.name for folder in folders if (folder / "run.json").is_file()}
-        return [
-            f"{number} ({' '.join(words)})"
-            for number, words in enumerate(self.jobs or [])
-            if str(number) not in begun
-        ]
+    def launch(
+        self, kept: set[str], asked: Asked, crew: Sequence[Supervisor], told: Told
+    ) -> str | None:
+        global _here
+        crew[0].cwd = _place(asked)
+        if not self.one_process:
+            crew[0].close()
+        folder = str(told.out.resolve()).replace("'", "\\'")  # workers may be at home elsewhere
+        words = ["--multirun", f"hydra.sweep.dir='{folder}'", *self.words]
+        _here = (crew[0], told.bar) if self.one_process else None
+        try:
+            with _watched(kept, told):
+                hydra_main(words, run_job)
+        except RbtmBenchError:
+            raise
+        except Exception as error:  # a worker that was killed, a disk that is full
+            sweep_folder.check_ctrl_c()
+            return reason(error)
+        finally:
+            _here = None
+        sweep_folder.check_ctrl_c()
+        return None
 
 
 def _fixed(sweeper: DictConfig) -> list[str] | None:
@@ -176,10 +214,9 @@ def _run(cfg: DictConfig, hydra_cfg: Any, out: Path, asked: Asked) -> dict[str, 
     sweep_folder.clear([out])
     settings = drive.sharing(settings, Path(hydra_cfg.sweep.dir))
     settings = replace(settings, config={**settings.config, "overwrite": True})
-    supervisor = own_supervisor(_place(asked), asked.command)
-    part = functools.partial(_bar.part, out.name) if _bar else None
-    limit = settings.config["time_limit"]
-    return supervisor.run(out.name, settings, out, limit, part)
+    supervisor = _here[0] if _here else own_supervisor(_place(asked), asked.command)
+    part = functools.partial(_here[1].part, out.name) if _here else None
+    return supervisor.run(out.name, settings, out, part)
 
 
 def _place(asked: Asked) -> Path | None:
@@ -204,34 +241,32 @@ def _end_with(driver: int) -> None:
 
 
 @contextlib.contextmanager
-def watched(out: Path, reused: set[str], bar: RunBar, mine: bool) -> Iterator[None]:
-    """Tell the bar of runs below ``out`` that end, whichever process they run in. With ``mine``
-    they run in this one and tell of their scans as well."""
-    global _bar
-    ended: set[str] = set(reused)
+def _watched(reused: set[str], told: Told) -> Iterator[None]:
+    """Tell of the runs that begin and end, whichever process they run in."""
+    ended = set(reused)
     over = threading.Event()
 
     def look() -> None:
         with contextlib.suppress(OSError):
-            for folder in sweep_folder.run_folders(out):
+            for folder in sweep_folder.run_folders(told.out):
                 if folder.name in ended:
                     continue
-                status = sweep_folder.status(folder)
-                if status in ("done", "failed"):
+                record = sweep_folder.record_of(folder)
+                if record.get("status") == "started":
+                    told.bar.began(folder.name)
+                elif record.get("status") in ("done", "failed"):
                     ended.add(folder.name)
-                    bar.ended(folder.name, status == "done", *sweep_folder.registrations(folder))
+                    told(folder.name, record)
 
     def watch() -> None:
         while not over.wait(POLL_S):
             look()
 
     thread = threading.Thread(target=watch, daemon=True)
-    _bar = bar if mine else None
     thread.start()
     try:
         yield
     finally:
         over.set()
         thread.join()
-        _bar = None
         look()

@@ -26,12 +26,14 @@ def foreign_to(points: Sequence[Point]) -> frozenset[str]:
     return frozenset().union(*(foreign_modules(point.settings.config) for point in points))
 
 
-def check_data(points: Sequence[Point]) -> None:
-    """Open every data set once, before the first run, and see that the parts fit it.
+def check_data(points: Sequence[Point]) -> dict[str, int]:
+    """Open every data set once, before the first run, and see that the parts fit it; how many
+    scans each has, by ``node_key``.
 
     Raises ``DataError`` or ``ConfigError``: bad data common to all points stop a grid.
     """
     opened: dict[str, Any] = {}
+    scans: dict[str, int] = {}
     checked = set()
     for point in points:
         config = point.settings.config
@@ -39,11 +41,13 @@ def check_data(points: Sequence[Point]) -> None:
         if key not in opened:
             opened.clear()  # one data set in memory at a time
             opened[key] = experiment.build(config["dataset"])
+            scans[key] = len(opened[key])
         groups = ("backend", "guess", "similarity", "selector", "check")
         fit = repr((key, [config.get(group) for group in groups]))
         if fit not in checked:
             checked.add(fit)
             experiment.check_fit(point.settings, opened[key])
+    return scans
 
 
 def run_one(

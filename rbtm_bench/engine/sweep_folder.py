@@ -34,6 +34,8 @@ Kind = Literal["sweep", "compare"]
 NAMES = {"sweep": "sweep", "compare": "comparison"}
 
 FILE = "sweep.json"
+LIMITS = ("time_limit", "memory_limit")
+"""Settings that may be others when it goes on: what a run gives does not depend on them."""
 STOP = "stopped"
 """Made by ``--fail-fast`` at the first failure: jobs that find it do not begin."""
 LOCK_S = 5.0
@@ -112,10 +114,10 @@ class Asked:
         """
         keys = [_key(word) for word in words]
         for key, word in zip(keys, words, strict=True):
-            if key != "time_limit" and not key.startswith("hydra"):
+            if key not in LIMITS and not key.startswith("hydra"):
                 raise ConfigError(
-                    f"{word}: --resume repeats what was asked; only time_limit and the keys of "
-                    "hydra may change"
+                    f"{word}: --resume repeats what was asked; only {' and '.join(LIMITS)} "
+                    "and the keys of hydra may change"
                 )
         kept = [word for word in self.overrides if _key(word) not in keys]
         return replace(
@@ -292,15 +294,3 @@ def run_folders(out: Path) -> list[Path]:
 def count_done(out: Path) -> int:
     """Runs below a sweep's or comparison's folder that are done."""
     return sum(status(path.parent) == "done" for path in out.glob("*/run.json"))
-
-
-def failures(folders: Iterable[Path]) -> list[str]:
-    """A line for every run that did not end well."""
-    lines = []
-    for folder in folders:
-        record = record_of(folder)
-        if record.get("status") == "failed":
-            lines.append(f"{folder.name}: {record.get('reason')}")
-        elif record.get("status") == "started":
-            lines.append(f"{folder.name}: did not end")
-    return lines

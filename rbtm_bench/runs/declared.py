@@ -46,6 +46,7 @@ SHARED = {
     "pairs": Shared(Pairs, Kind.HOW),
     "pin": Shared(bool, Kind.HOW),
     "time_limit": Shared(Annotated[float, Gt(0)] | None, Kind.HOW),
+    "memory_limit": Shared(Annotated[float, Gt(0)] | None, Kind.HOW),
     "map_resolution": Shared(Annotated[float, Gt(0)], Kind.HOW),
     "guess_along_degenerate": Shared(Annotated[float, Gt(0), Lt(1)] | None, Kind.WHAT),
     "judge_points": Shared(Annotated[int, Ge(100)], Kind.WHAT),

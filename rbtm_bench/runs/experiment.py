@@ -8,6 +8,7 @@ relation). Every file appears whole or not at all.
 
 from __future__ import annotations
 
+import contextlib
 import time
 import traceback
 from collections.abc import Callable, Iterator
@@ -18,9 +19,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from rbtm_bench.backends.system import System
-from rbtm_bench.core.errors import ConfigError, RbtmBenchError
+from rbtm_bench.core.errors import ConfigError, RbtmBenchError, WriteError
 from rbtm_bench.core.files import make_folder, write_atomically, write_json, write_text
-from rbtm_bench.core.step_columns import STEPS
+from rbtm_bench.core.kernels import make_ready
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array, Scan, StepTable
 from rbtm_bench.datasets.base import Dataset
@@ -38,6 +39,7 @@ from rbtm_bench.runs.declared import PLUGIN_GROUPS
 from rbtm_bench.runs.pinning import pin_to_free_core
 from rbtm_bench.runs.plugins import is_system, locate
 from rbtm_bench.runs.settings import Settings
+from rbtm_bench.runs.steps import write_steps
 from rbtm_bench.similarity.base import Similarity
 
 Progress = Callable[[int, int], None]
@@ -100,11 +102,16 @@ def _recorded(
     except BaseException as error:
         record["status"], record["reason"] = "failed", reason(error)
         record["traceback"] = traceback.format_exc()
+        with contextlib.suppress(WriteError):  # on a full disk the first file says it all
+            _finish(out, record)
         raise
-    finally:
-        record["finished"] = provenance.now()
-        write_json(out / "run.json", record)
+    _finish(out, record)
     return record
+
+
+def _finish(out: Path, record: dict[str, Any]) -> None:
+    record["finished"] = provenance.now()
+    write_json(out / "run.json", record)
 
 
 def fail(settings: Settings, out: Path, error: BaseException) -> None:
@@ -183,12 +190,14 @@ def _check_selector(settings: Settings, dataset: Dataset) -> None:
 
 
 def build(node: dict[str, Any]) -> Any:
-    """Instantiate one plug-in by Hydra; our own errors come out as they are."""
+    """Instantiate one plug-in by Hydra, ready to be timed; our own errors come out as they are."""
     import hydra.utils
     from hydra.errors import InstantiationException
 
     try:
-        return hydra.utils.instantiate(node, _convert_="all")
+        made = hydra.utils.instantiate(node, _convert_="all")
+        make_ready()
+        return made
     except InstantiationException as error:
         cause: BaseException | None = error
         while cause is not None:
@@ -278,18 +287,6 @@ def similarity_matrix(dataset: Dataset, similarity: Similarity) -> tuple[Any, Ar
     scans = np.unique(np.linspace(0, len(dataset) - 1, count).round().astype(np.int64))
     descriptors = np.stack([similarity.describe(dataset[int(i)].without_truth()) for i in scans])
     return scans, similarity.matrix(descriptors)
-
-
-def write_steps(path: Path, steps: StepTable) -> None:
-    """``steps.parquet``: a row a scan, the columns of ``STEPS``."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    kinds = {"int": pa.int64(), "float": pa.float64(), "str": pa.string(), "bool": pa.bool_()}
-    kinds["list"] = pa.list_(pa.float64())
-    schema = pa.schema([(column.name, kinds[column.type]) for column in STEPS])
-    table = pa.Table.from_pydict(steps.columns, schema=schema)
-    write_atomically(path, lambda p: pq.write_table(table, p))
 
 
 def write_npz(path: Path, **arrays: Any) -> None:

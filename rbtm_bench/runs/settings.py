@@ -6,12 +6,15 @@ constructor's annotations (``int``, ``Literal[...]``, ``Annotated[int, Ge(2)]`` 
 
 from __future__ import annotations
 
+import os
 import re
+import sys
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
+from hydra import compose, initialize_config_dir, main
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -261,6 +264,21 @@ def explain(error: Exception) -> str:
     drop = ("full_key", "object_type", "reference_type", "To append", "Set the environment", "See ")
     kept = [line for line in dict.fromkeys(lines) if not line.startswith(drop)]
     return " | ".join(kept[:3])
+
+
+def hydra_main(words: list[str], task: Callable[[DictConfig], None]) -> None:
+    """Call Hydra with our configs; its errors become ours."""
+    argv, before = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
+    sys.argv = ["rbtm-bench", *words]
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises instead of printing and exiting with 1
+    try:
+        main(config_path=str(config_dir()), config_name="config", version_base="1.3")(task)()
+    except (HydraException, OmegaConfBaseException) as error:
+        raise ConfigError(explain(error)) from error
+    finally:
+        sys.argv = argv
+        if before is None:
+            del os.environ["HYDRA_FULL_ERROR"]
 
 
 def _first_line(error: Exception) -> str:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import math
 import os
+import pickle
 import threading
 from pathlib import Path
 
 import pytest
 
-from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.errors import ConfigError, WriteError
 from rbtm_bench.core.files import make_folder, write_atomically, write_json, write_text
 
 
@@ -25,9 +26,19 @@ def test_a_write_that_fails_leaves_nothing(tmp_path: Path) -> None:
         path.write_text("half a")
         raise OSError("No space left on device")
 
-    with pytest.raises(OSError, match="No space"):
+    with pytest.raises(WriteError, match=r"/a\.txt: cannot be written: No space"):
         write_atomically(tmp_path / "a.txt", half)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_write_error_names_the_file_everywhere(tmp_path: Path) -> None:
+    with pytest.raises(WriteError) as caught:
+        write_text(tmp_path / "no" / "a.txt", "a")
+    error = pickle.loads(pickle.dumps(caught.value))  # from a run's process to its parent
+    assert (
+        str(error) == f"{tmp_path / 'no' / 'a.txt'}: cannot be written: No such file or directory"
+    )
+    assert isinstance(error, OSError) and (error.errno, error.exit_code) == (2, 1)
 
 
 def test_a_write_that_fails_leaves_the_earlier_file(tmp_path: Path) -> None:

@@ -92,3 +92,23 @@ def test_where_nothing_can_be_written_it_works_all_the_same(tmp_path: Path) -> N
     cache = tmp_path / "no-folder"
     cache.write_text("a file")
     assert ask(tmp_path, "one", cache) == "20"
+
+
+LOOK = """
+import sys
+from rbtm_bench.runs.settings import compose_settings
+compose_settings(["backend=plicp", "similarity=overlap"])
+assert not [name for name in sys.modules if name.partition(".")[0] in ("numba", "scipy")]
+from rbtm_bench.core import kernels
+from rbtm_bench.runs.experiment import build
+from rbtm_bench.runs.settings import compose_settings
+build(compose_settings([]).config["similarity"])
+assert not kernels._waiting
+from rbtm_bench.similarity.inner import inner
+assert "compiled" in vars(inner)
+"""
+
+
+def test_who_looks_at_a_class_compiles_nothing_and_who_makes_one_everything() -> None:
+    done = subprocess.run([sys.executable, "-c", LOOK], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -128,7 +129,9 @@ def test_the_screen_has_table_verdict_and_files(
     words = ("backend=none,kiss_icp", "selector=previous,rbtm", "selector.window=4")
     assert compare(out, *words, "selector.threshold=0.3") == 0
     captured = capsys.readouterr()
-    assert captured.err == ""
+    opening, line = captured.err.splitlines()
+    assert opening.startswith("4 runs, all new; ")
+    assert re.fullmatch(r"1 of 4 runs: 1 done, .* left", line)
     assert "corridor, kiss_icp: final position error of rbtm (window 4, threshold 0.3)" in (
         captured.out
     )

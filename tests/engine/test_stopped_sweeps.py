@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import re
 import signal
 import subprocess
 import time
@@ -35,6 +37,8 @@ def wait_for(out: Path, count: int) -> None:
         (("sweep", "hydra/launcher=joblib"), False, signal.SIGINT),
         (("compare", "--jobs", "2"), True, signal.SIGINT),
         (("compare", "--jobs", "2"), False, signal.SIGTERM),  # as a cluster does it
+        (("sweep",), False, signal.SIGTERM),
+        (("sweep", "hydra/launcher=joblib"), False, signal.SIGTERM),
     ],
 )
 def test_ctrl_c(
@@ -84,7 +88,8 @@ def test_a_full_disk(tiny_disk: Path, command: str) -> None:
     out = tiny_disk / "out"
     words = ("backend=none", "dataset.scans=12,13,14,15,16,17", "selector=previous")
     code, shown, err = call(command, *words, f"out={out}")
-    assert code == 1 and "No space left on device" in shown + err
+    assert code == 1
+    assert re.search(rf"{out}/\S+: cannot be written: No space left on device", shown + err)
     grow = ["mount", "-o", "remount,size=20m", str(tiny_disk)]
     subprocess.run(grow, check=True)
     finished = [p for p in out.glob("*/run.json") if sweep_folder.is_whole(p.parent)]
@@ -94,6 +99,28 @@ def test_a_full_disk(tiny_disk: Path, command: str) -> None:
     assert code == 0 and f"{len(before)} of 6 runs were done before" in err
     assert statuses(out) == ["done"] * 6
     assert {p: p.read_bytes() for p in before} == before
+
+
+@pytest.mark.parametrize("name", ["config.yaml", "run.json", "steps.parquet", "map.npz"])
+def test_a_full_disk_names_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    replace = os.replace
+
+    def full(old: str, new: Path) -> None:
+        if Path(new).name == name:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        replace(old, new)
+
+    monkeypatch.setattr(os, "replace", full)
+    out = tmp_path / "out"
+    words = ("backend=none", "dataset.scans=12", "selector=previous", f"out={out}", "pin=false")
+    code, shown, err = call("run", *words)
+    assert (code, shown) == (1, "")
+    assert err == f"rbtm-bench: {out / name}: cannot be written: No space left on device\n"
+    if name in ("steps.parquet", "map.npz"):
+        assert record_of(out)["reason"] == err.removeprefix("rbtm-bench: ").strip()
+    assert not list(out.glob(".*partial*"))
 
 
 def test_ctrl_c_is_not_lost_inside_a_library() -> None:
