@@ -8,6 +8,8 @@ writes ``build`` and ``align``.
 
 from __future__ import annotations
 
+import math
+import operator
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -19,7 +21,7 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from rbtm_bench.backends.neighbours_2d import Sorted2D, sorted_2d
-from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.errors import BackendError, one_line
 from rbtm_bench.core.geometry import is_rigid, symmetric, to_plane, transform, voxel_downsample
 from rbtm_bench.core.types import Array, Scan
 
@@ -39,6 +41,10 @@ PROGRAMMING_ERRORS = (
 )
 """What a plug-in raises because it is wrong, not because two scans do not match: the run fails,
 and does not go on as if every registration had been refused."""
+
+MAX_MOTION = 1e4
+"""m between two scans. No scan of any sensor reaches as far; what a library returns when its sums
+overflow does."""
 
 TargetKey = tuple[tuple[int, bytes | None], ...]
 """The scans that a prepared cloud holds: their numbers, and for merged ones where they lie."""
@@ -155,27 +161,16 @@ class Backend(ABC):
         name = type(self).__name__
         started = time.perf_counter()
         try:
-            alignment: Any = self.align(source, target, guess)  # a plug-in may return anything
-        except (BackendError, *PROGRAMMING_ERRORS):
+            alignment = self.align(source, target, guess)
+        except BackendError as error:
+            raise BackendError(one_line(error)) from error.__cause__
+        except PROGRAMMING_ERRORS:
             raise
         except Exception as error:
-            raise BackendError(f"{name}: {type(error).__name__}: {error}") from error
+            raise BackendError(f"{name}: {type(error).__name__}: {one_line(error)}") from error
         seconds = time.perf_counter() - started
-        if not isinstance(alignment, Alignment):
-            kind = type(alignment).__name__
-            raise TypeError(f"{name}.align returned {kind}: expected an Alignment")
-        T = np.array(alignment.T_target_source, dtype=np.float64)
-        if not is_rigid(T, tolerance=1e-5):
-            raise BackendError(f"{name} returned no rigid motion")
-        planar = source.planar and target.planar
-        return replace(
-            alignment,
-            T_target_source=to_plane(T) if planar else T,
-            # a library's own kind of bool would not be the `False` that checks look for
-            converged=None if alignment.converged is None else bool(alignment.converged),
-            information=_checked_information(alignment.information, planar),
-            seconds=seconds,
-        )
+        checked = checked_alignment(self, alignment, source.planar and target.planar)
+        return replace(checked, seconds=seconds)
 
     def _prepared(self, points: Array, planar: bool, key: TargetKey) -> Prepared:
         if len(points) < MIN_POINTS:
@@ -183,6 +178,49 @@ class Backend(ABC):
                 f"scan {key[0][0]}: {len(points)} points: expected at least {MIN_POINTS}"
             )
         return Prepared(points, planar, self.build(points, planar), key)
+
+
+def checked_alignment(backend: Backend, alignment: Any, planar: bool) -> Alignment:
+    """An alignment as a backend may return it, with arrays of its own, its motion in the plane for
+    ``planar`` scans. Raises ``TypeError`` for what is none, ``BackendError`` for no motion."""
+    name = type(backend).__name__
+    if not isinstance(alignment, Alignment):
+        kind = type(alignment).__name__
+        raise TypeError(f"{name}.align returned {kind}: expected an Alignment")
+    T = checked_motion(alignment.T_target_source, name, MAX_MOTION)
+    iterations = alignment.iterations
+    return replace(
+        alignment,
+        T_target_source=to_plane(T) if planar else T,
+        # a library's own kind of bool would not be the `False` that checks look for
+        converged=None if alignment.converged is None else bool(alignment.converged),
+        iterations=None if iterations is None else operator.index(iterations),
+        information=_checked_information(alignment.information, planar),
+        library_fitness=_number_or_none(alignment.library_fitness),
+        library_rmse=_number_or_none(alignment.library_rmse),
+    )
+
+
+def checked_motion(given: Any, name: str, most: float = math.inf) -> Array:
+    """A motion (4, 4) that ``name`` returned, a copy in float64. Raises ``BackendError`` for one
+    that is not real, finite and rigid, or longer than ``most`` m."""
+    try:
+        T = np.array(given)
+    except ValueError:  # rows of different lengths
+        raise BackendError(f"{name} returned no rigid motion") from None
+    if T.dtype.kind not in "fiu":
+        raise BackendError(f"{name} returned no rigid motion: {T.dtype.name}, not real numbers")
+    T = T.astype(np.float64)
+    if not is_rigid(T, tolerance=1e-5):
+        raise BackendError(f"{name} returned no rigid motion")
+    length = math.hypot(*T[:3, 3].tolist())
+    if length > most:
+        raise BackendError(f"{name} returned an implausible motion: {length:.3g} m > {most:g} m")
+    return T
+
+
+def _number_or_none(value: Any) -> float | None:
+    return None if value is None else float(value)
 
 
 def _checked_guess(source: Any, target: Any, T_target_source: Any) -> Array:

@@ -13,6 +13,7 @@ from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.trajectory import PoseChain
 from rbtm_bench.core.types import Array, Edge, Node, RegistrationResult, Scan, Step, StepRecord
 from rbtm_bench.core.uncertainty import chained, edge_covariance
+from rbtm_bench.odometry import checked
 from rbtm_bench.odometry.degeneracy import remap, unseen
 from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.selection.base import Selection, Selector, Trial
@@ -42,7 +43,8 @@ def odometry(scans: Iterable[Scan], method: Method, work: Work | None = None) ->
         descriptor = None
         if method.selector.needs_scores:
             descriptor, record.t_describe_s = work.describe(scan)
-        record.t_guess_s = method.guess.observe(scan, prepared, work.register)
+        observed = method.guess.observe(scan, prepared, work.register)
+        record.t_guess_s = checked.seconds(method.guess, observed)
 
         if not recent:
             edges: tuple[Edge, ...] = ()
@@ -105,7 +107,8 @@ def _select(
         scores, seconds = work.scores(window.descriptors, descriptor, motions)
         record.t_select_s += seconds
     with _timed(record, "t_select_s"):
-        selection = work.method.selector.choose(scan.index, window, scores)
+        given = work.method.selector.choose(scan.index, window, scores)
+        selection = checked.selection(work.method.selector, window, given, scan.index)
     record.candidates += sum(not c.is_fallback for c in selection.candidates)
     record.undefined_scores += selection.undefined
     return selection
@@ -142,10 +145,7 @@ def _register(
     if not accepted:
         return None
     with _timed(record, "t_select_s"):
-        which, reason = method.selector.pick(scan, accepted)
-    if not 0 <= which < len(accepted):
-        name = type(method.selector).__name__
-        raise ValueError(f"{name}.pick chose {which!r} of {len(accepted)} registrations")
+        which, reason = checked.pick(method.selector, scan, accepted)
     chosen = accepted[which]
     _record(record, chosen, reason, method.guess_along_degenerate)
     return _edge(chosen.model, scan, chosen.result, method.selector)
@@ -165,14 +165,14 @@ def _attempt(
     T_guess = work.predict(model, scan, recent)
     try:
         with _timed(record, "t_prepare_s"):
-            target = method.target.build(model.scan, window, method.backend)
+            target = checked.target(method.target, scan, model.scan, window, method.backend)
         record.registrations += 1
         started = time.perf_counter()
         result = work.register(prepared, target, T_guess)
         if method.guess_along_degenerate is not None:
             record.kept_guess = unseen(result, method.guess_along_degenerate)
             result = remap(result, T_guess, method.guess_along_degenerate)
-        why_not = method.check.reject(result, T_guess)
+        why_not = checked.rejection(method.check, result, T_guess)
         spent = time.perf_counter() - started - (0.0 if result.reused else result.seconds)
         record.t_register_s += result.seconds
         record.t_check_s += max(0.0, spent)

@@ -5,15 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
-
-import numpy as np
 
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.check.base import Check
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.guess.base import Guess
-from rbtm_bench.odometry import judge
+from rbtm_bench.odometry import checked, judge
 from rbtm_bench.selection.base import Selector
 from rbtm_bench.similarity.base import Descriptor, Similarity
 from rbtm_bench.target.base import Target
@@ -44,13 +41,13 @@ class Work:
     def prepare(self, scan: Scan) -> tuple[Prepared, float]:
         """The prepared scan. Raises ``BackendError`` for one that the backend cannot use."""
         started = time.perf_counter()
-        prepared = self.method.backend.prepare(scan)
+        prepared = checked.prepared(self.method.backend, scan)
         return prepared, time.perf_counter() - started
 
     def describe(self, scan: Scan) -> tuple[Descriptor, float]:
         """The descriptor (D,) of a scan."""
         started = time.perf_counter()
-        descriptor = self.method.similarity.describe(scan)
+        descriptor = checked.descriptor(self.method.similarity, scan)
         return descriptor, time.perf_counter() - started
 
     def scores(
@@ -65,25 +62,15 @@ class Work:
         else:
             scores = similarity.scores_under(window, descriptor, motions)
         seconds = time.perf_counter() - started
-        return checked_scores(similarity, scores, (len(window),)), seconds
+        return checked.scores(similarity, scores, (len(window),)), seconds
 
     def predict(self, model: Node, scan: Scan, recent: Sequence[Node]) -> Array:
         """The guess of T_model_scan (4, 4)."""
-        return self.method.guess.predict(model, scan, recent)
+        guess = self.method.guess
+        return checked.motion(guess, guess.predict(model, scan, recent))
 
     def register(
         self, source: Prepared, target: Prepared, T_target_source: Array
     ) -> RegistrationResult:
         """The judged registration of a pair. Raises ``BackendError`` if it cannot be done."""
         return judge.register(self.method.backend, source, target, T_target_source)
-
-
-def checked_scores(similarity: Similarity, scores: Any, shape: tuple[int, ...]) -> Array:
-    """Scores as a similarity may give them: real numbers, finite or NaN. Raises ``ValueError``."""
-    name = type(similarity).__name__
-    if np.shape(scores) != shape or np.iscomplexobj(scores):
-        raise ValueError(f"{name}: scores of shape {np.shape(scores)}: expected real ones, {shape}")
-    checked = np.asarray(scores, dtype=np.float64)
-    if np.isinf(checked).any():
-        raise ValueError(f"{name}: a score is infinite: expected finite numbers, or NaN")
-    return checked

@@ -19,8 +19,8 @@ from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.datasets.base import Dataset, Relations
-from rbtm_bench.odometry import judge
-from rbtm_bench.odometry.method import Method, Work, checked_scores
+from rbtm_bench.odometry import checked, judge
+from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.pairs.codec import pair_key
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.similarity.base import Descriptor, Similarity
@@ -117,7 +117,7 @@ class KnownRegistrations:
         if known is not None:
             return known
         started = time.perf_counter()
-        prepared = self.backend.prepare(scan)
+        prepared = checked.prepared(self.backend, scan)
         seconds = time.perf_counter() - started
         size = prepared.points.nbytes * NATIVE_SHARE + 2000
         return self.scans.put(key, (prepared, seconds), size)
@@ -174,7 +174,7 @@ class KnownScores:
         self._similarity = similarity
         started = time.perf_counter()
         scans = (scan.without_truth() for scan in dataset)
-        self._descriptors: Descriptor = np.stack([similarity.describe(scan) for scan in scans])
+        self._descriptors = np.stack([checked.descriptor(similarity, scan) for scan in scans])
         self._describe_seconds = (time.perf_counter() - started) / max(1, len(dataset))
         self._band: Array = np.zeros((len(dataset), 0))
         self._score_seconds = 0.0
@@ -185,7 +185,7 @@ class KnownScores:
             return
         started = time.perf_counter()
         band = self._similarity.band(self._descriptors, width + 1)
-        self._band = checked_scores(self._similarity, band, (len(self._descriptors), width))
+        self._band = checked.scores(self._similarity, band, (len(self._descriptors), width))
         self._score_seconds = (time.perf_counter() - started) / self._band.size
 
     def describe(self, scan: Scan) -> tuple[Descriptor, float]:
@@ -208,7 +208,7 @@ class KnownScores:
         else:
             scores = self._similarity.scores(past, now)
         seconds = time.perf_counter() - started
-        return checked_scores(self._similarity, scores, (len(window),)), seconds
+        return checked.scores(self._similarity, scores, (len(window),)), seconds
 
 
 class SharedWork(Work):

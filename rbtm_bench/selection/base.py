@@ -122,6 +122,8 @@ class Selector(ABC):
             ):
                 name = type(self).__name__
                 raise ValueError(f"{name} chose position {i!r} in a window of {len(numbers)}")
+        if len({i for i, _ in tried}) < len(tried):
+            raise ValueError(f"{type(self).__name__} chose a position twice of {len(numbers)}")
         chosen = [Candidate(numbers[i], values[i], why) for i, why in tried]
         last = self._fallback(scores)
         if last is not None and last not in [i for i, _ in tried]:

@@ -49,7 +49,9 @@ class Window:
     @property
     def scans(self) -> NDArray[np.int64]:
         """Scan numbers (W,) of the members, oldest first."""
-        return self._scans[self._start : self._stop]
+        view = self._scans[self._start : self._stop]
+        view.flags.writeable = False  # strategies are handed it
+        return view
 
     @property
     def descriptors(self) -> NDArray[Any]:
