@@ -8,6 +8,7 @@ relation). Every file appears whole or not at all.
 
 from __future__ import annotations
 
+import os
 import time
 import traceback
 from collections.abc import Callable
@@ -18,11 +19,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from rbtm_bench.backends.system import System
-from rbtm_bench.core.errors import ConfigError, RbtmBenchError
+from rbtm_bench.core.errors import ConfigError, DataError, RbtmBenchError, RunError, one_line
 from rbtm_bench.core.files import make_folder, write_atomically, write_json, write_text
 from rbtm_bench.core.step_columns import STEPS
 from rbtm_bench.core.trajectory import Trajectory
-from rbtm_bench.core.types import Array, StepRecord
+from rbtm_bench.core.types import Array, StepRecord, read_only
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.metrics.base import Metric, evaluated
 from rbtm_bench.metrics.cost import peak_memory_mb
@@ -32,17 +33,23 @@ from rbtm_bench.metrics.summary import summarise_steps
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.odometry.system import system_odometry
+from rbtm_bench.pairs.shared import SharedDataset
+from rbtm_bench.pairs.watched import Watch, WatchedWork
 from rbtm_bench.runs import provenance
 from rbtm_bench.runs.claim import claimed, refuse_existing
 from rbtm_bench.runs.declared import PLUGIN_GROUPS
 from rbtm_bench.runs.pinning import pin_to_free_core
-from rbtm_bench.runs.plugins import is_system, locate
+from rbtm_bench.runs.plugins import foreign_modules, foreign_plugins, is_system, locate
 from rbtm_bench.runs.settings import Settings
 from rbtm_bench.similarity.base import Similarity
 
 Progress = Callable[[int, int], None]
 """Called with scans done and scans in all."""
 
+UNSHARED_BYTES = 150e6
+"""Remembered of what foreign plug-ins were handed, where no workbench sets its own bound."""
+TRACE = 20_000
+"""Characters of a traceback that are kept: an error's own words may fill a disk."""
 SIMILARITY_PICTURE = 181
 """Scans at most in the similarity matrix that a run keeps: the paper's Fig. 1(c)."""
 
@@ -52,7 +59,7 @@ class Parts:
     """A run's plug-ins, instantiated. A system is a method by itself. ``work`` is None where the
     plug-ins do all of it themselves."""
 
-    dataset: Dataset
+    dataset: SharedDataset
     method: Method | System
     metrics: tuple[Metric, ...]
     work: Work | None = None
@@ -92,10 +99,11 @@ def _recorded(
     """The run, and how it ended in its ``run.json``."""
     try:
         record["seconds"] = _execute(parts, settings, out, progress)
+        _refuse_changes(parts, settings)
         record["status"] = "done"
     except BaseException as error:
-        record["status"], record["reason"] = "failed", reason(error)
-        record["traceback"] = traceback.format_exc()
+        record["status"], record["reason"] = "failed", reason(error, settings)
+        record["traceback"] = trace_of(error)
         raise
     finally:
         record["finished"] = provenance.now()
@@ -109,7 +117,7 @@ def fail(settings: Settings, out: Path, error: BaseException) -> None:
     clear(out)
     write_config(out, settings)
     record = provenance.of_run(settings, None, None)
-    record.update(status="failed", reason=reason(error), finished=provenance.now())
+    record.update(status="failed", reason=reason(error, settings), finished=provenance.now())
     write_json(out / "run.json", record)
 
 
@@ -119,15 +127,18 @@ def instantiate(settings: Settings) -> Parts:
     Raises ``ConfigError`` where parts do not fit together, ``DataError`` for bad data.
     """
     config = settings.config
-    dataset = build(config["dataset"])
-    check_fit(settings, dataset)
+    plain = build(config["dataset"])
+    check_fit(settings, plain)
+    watch = Watch(UNSHARED_BYTES) if foreign_modules(config) else None
+    dataset = SharedDataset(plain, 0.0, watch)
     if is_system(config):
         return Parts(dataset, build(config["backend"]), build_metrics(config))
     method = Method(
         **{g: build(config[g]) for g in PLUGIN_GROUPS if g != "dataset"},
         guess_along_degenerate=config["guess_along_degenerate"],
     )
-    return Parts(dataset, method, build_metrics(config))
+    work = None if watch is None else WatchedWork(Work(method), watch)
+    return Parts(dataset, method, build_metrics(config), work)
 
 
 def build_metrics(config: dict[str, Any]) -> tuple[Metric, ...]:
@@ -199,12 +210,30 @@ def build(node: dict[str, Any]) -> Any:
         raise ConfigError(" ".join(lines)) from error
 
 
-def reason(error: BaseException) -> str:
-    """One line that says why a run failed."""
-    text = " ".join(str(error).split()) or type(error).__name__
-    if isinstance(error, RbtmBenchError):
-        return text
-    return f"{type(error).__name__}: {text}"
+def reason(error: BaseException, settings: Settings | None = None) -> str:
+    """One line that says why a run with these settings failed, and in which of its plug-ins, as far
+    as they are not ours: unless settings or data are at fault."""
+    text = one_line(error)
+    if not isinstance(error, RbtmBenchError):
+        text = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    known = settings is None or isinstance(error, ConfigError | DataError)
+    names = "" if settings is None or known else foreign_plugins(settings.config, settings.choices)
+    return f"{names}: {text}" if names and names not in text else text or type(error).__name__
+
+
+def trace_of(error: BaseException) -> str:
+    """The traceback of an error, its last lines if it is very long."""
+    text = "".join(traceback.format_exception(error))
+    return text[-TRACE:]
+
+
+def _refuse_changes(parts: Parts, settings: Settings) -> None:
+    """Raise ``RunError`` if a plug-in has written into what it was handed to read."""
+    changed = parts.dataset.watch.changed() if parts.dataset.watch else []
+    if changed:
+        names = foreign_plugins(settings.config, settings.choices)
+        others = f" (and {len(changed) - 1} more)" if changed[1:] else ""
+        raise RunError(f"{names} changed {changed[0]}{others}")
 
 
 def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | None) -> float:
@@ -214,7 +243,10 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
     records: list[StepRecord] = []
     poses: list[Array] = []
     truth: list[Array] = []
+    own = os.getpid()
     for scan, step in with_scans(dataset, parts.method, parts.work):
+        if os.getpid() != own:
+            os._exit(1)  # a twin that a plug-in has forked and not ended: there is one run
         records.append(step.record)
         poses.append(step.T_world_scan)
         truth.append(np.full((4, 4), np.nan) if scan.ground_truth is None else scan.ground_truth)
@@ -222,15 +254,15 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
             progress(len(records), len(dataset))
     seconds, memory = time.perf_counter() - started, peak_memory_mb()
     stamps = np.array([record.stamp for record in records])
-    estimate = Trajectory(stamps, np.stack(poses))
-    reference = Trajectory(stamps, np.stack(truth)) if dataset.has_ground_truth else None
+    estimate = Trajectory(stamps, read_only(np.stack(poses)))
+    reference = Trajectory(stamps, read_only(np.stack(truth))) if dataset.has_ground_truth else None
     write_steps(out / "steps.parquet", records)
     estimate.write_tum(out / "trajectory.tum")
     if reference is not None and reference.known.all():
         reference.write_tum(out / "ground_truth.tum")
     values: dict[str, Any] = summarise_steps(records, memory)
     for metric in parts.metrics:
-        values.update(evaluated(metric, estimate, reference, dataset))
+        values |= evaluated(metric, estimate, reference, dataset, taken=values)
         if isinstance(metric, RelationError) and dataset.relations is not None:
             metric.errors(estimate, dataset.relations).write(out / RELATIONS)
     write_json(out / "metrics.json", values)
