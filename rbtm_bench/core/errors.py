@@ -11,7 +11,7 @@ class RbtmBenchError(Exception):
     exit_code = 1
 
 
-LINE = 500
+LINE = 1000
 """Characters of an error's words that are told: they go into rows, tables and the pair store."""
 
 

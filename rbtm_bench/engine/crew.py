@@ -17,6 +17,7 @@ import json
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -24,11 +25,12 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from rbtm_bench.core.errors import RunError
+from rbtm_bench.engine import kept, traces
+from rbtm_bench.engine.channel import Channel, GarbageError
 
 if TYPE_CHECKING:
     from rbtm_bench.runs.settings import Settings
@@ -40,6 +42,8 @@ POLL_S = 0.5
 """How often a waiting parent looks whether its child still lives."""
 START_S = 120.0
 """A child that is not ready by then counts as broken."""
+HANG_UP_S = 2.0
+"""How long after the end of its channel a child may take to end."""
 CLOSE_S = 10.0
 """What a child gets to end by itself when its work is over."""
 
@@ -67,22 +71,25 @@ class Child:
     the foreign packages of its runs; what they change in it they change for themselves alone."""
 
     process: subprocess.Popen[bytes]
-    channel: Connection
+    channel: Channel
     lifeline: IO[bytes]
     crash: IO[bytes]
     pin: bool
     cwd: Path
     serves: frozenset[str] = frozenset()
+    mark: str = ""
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     @classmethod
     def start(cls, pin: bool, cwd: Path, serves: frozenset[str] = frozenset()) -> Child:
         """Start a child and wait until it is ready. Raises ``ChildError`` if that fails."""
-        channel, theirs = Pipe()
+        ours, theirs = socket.socketpair()
+        mark = os.urandom(8).hex()
+        channel = Channel(ours, bytes.fromhex(mark), plain=bool(serves))
         heard, lifeline = os.pipe()
         crash = _scratch_file()
         fds = (theirs.fileno(), heard, crash.fileno())
-        words = json.dumps([[str(place) for place in sys.path], *fds, pin])
+        words = json.dumps([[str(place) for place in sys.path], *fds, pin, mark, bool(serves)])
         error_output = _error_output()  # standard output is the parent's alone: for tables
         try:
             process = subprocess.Popen(
@@ -92,12 +99,13 @@ class Child:
                 stderr=error_output,
                 pass_fds=fds,
                 cwd=cwd,
+                env={**os.environ, traces.MARK: mark},
                 process_group=0,  # Ctrl-C is for the parent; and a kill takes what it started too
             )
         finally:
             theirs.close()
             os.close(heard)
-        child = cls(process, channel, os.fdopen(lifeline, "wb"), crash, pin, cwd, serves)
+        child = cls(process, channel, os.fdopen(lifeline, "wb"), crash, pin, cwd, serves, mark)
         try:
             child.receive(time.monotonic() + START_S)
         except BaseException as error:
@@ -112,15 +120,24 @@ class Child:
         while True:
             left = POLL_S if deadline is None else min(POLL_S, deadline - time.monotonic())
             try:
-                if self.channel.poll(max(left, 0.0)):
-                    return self.channel.recv()
-                dead = self._exited() and not self.channel.poll(0)
-            except (EOFError, OSError):
-                dead = True
-            if dead:
-                raise self._post_mortem()
+                with contextlib.suppress(TimeoutError):
+                    return self.channel.receive(max(left, 0.0))
+                if self._exited():
+                    return self.channel.receive(0.0)
+            except GarbageError as error:
+                self.kill()
+                raise ChildError(str(error)) from None
+            except (EOFError, OSError):  # a TimeoutError, too: it said nothing before it died
+                raise self._post_mortem() from None
+            self._wake()
             if deadline is not None and time.monotonic() >= deadline:
                 raise TimeoutError
+
+    def _wake(self) -> None:
+        """Let a process go on that has been stopped: nobody else would."""
+        with contextlib.suppress(ChildProcessError, ProcessLookupError):
+            if os.waitid(os.P_PID, self.process.pid, os.WSTOPPED | os.WNOHANG) is not None:
+                os.killpg(self.process.pid, signal.SIGCONT)
 
     def _exited(self) -> bool:
         """True if the process has ended. It stays a zombie: nobody else gets its number."""
@@ -134,11 +151,12 @@ class Child:
 
     def _post_mortem(self) -> ChildError:
         """What the child died of; the socket may close a little before the process ends."""
-        patience = time.monotonic() + CLOSE_S
-        while not self._exited() and time.monotonic() < patience:
+        patience = time.monotonic() + HANG_UP_S
+        while not (exited := self._exited()) and time.monotonic() < patience:
             time.sleep(0.005)
         self.kill()
-        error = ChildError(f"the process died: {cause_of_death(self.process.returncode)}")
+        why = f"the process died: {cause_of_death(self.process.returncode)}"
+        error = ChildError(why if exited else "it closed the channel to its parent")
         self.crash.seek(0)
         error.trace = self.crash.read().decode(errors="replace").strip()
         return error
@@ -147,9 +165,13 @@ class Child:
         """End the process, and those that it has started, at once; from any thread."""
         with self._lock:
             if self.process.returncode is None:
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(self.process.pid, signal.SIGKILL)
+                below = traces.descendants(self.process.pid) if self.serves else []
+                for pid in (-self.process.pid, *below):
+                    with contextlib.suppress(ProcessLookupError):
+                        os.kill(pid, signal.SIGKILL)
                 self.process.wait()
+            if self.serves:
+                traces.end_marked(self.mark)
 
     def end(self, patience: float = 0.0) -> None:
         """Let the process end by itself if it does so within ``patience`` s; kill it if not."""
@@ -170,6 +192,7 @@ class Supervisor:
         down. None: those of this process."""
         self.cwd, self.argv = cwd, argv
         self._child: Child | None = None
+        self._kept: kept.Kept | None = None
         self._stopped = False
 
     @property
@@ -195,19 +218,28 @@ class Supervisor:
         The ``time_limit``, in s, counts from when the child begins. Raises ``StoppedError`` when
         ``kill`` is called: the run then stays "started".
         """
-        from rbtm_bench.engine.one_run import ended_by, run_one
+        from rbtm_bench.engine.one_run import ended_by, run_one, undone
         from rbtm_bench.runs.plugins import foreign_modules
 
         pin = bool(settings.config.get("pin", True))
+        serves = foreign_modules(settings.config)
+        self._kept = kept.of(out.absolute().parent, make=bool(serves))
+        if self._kept is not None and serves:
+            self._kept.keep_all()
         try:
             job = (run_one, (name, settings, out.absolute()))
-            serves = foreign_modules(settings.config)
             _, record = self._ask(job, pin, time_limit, progress, serves)
+            record = dict(record)
         except TimeoutError:
-            return ended_by(RunError(f"time limit of {time_limit:g} s"), settings, out)
+            record = ended_by(RunError(f"time limit of {time_limit:g} s"), settings, out)
         except ChildError as error:
-            return ended_by(error, settings, out, error.trace)
-        return dict(record)
+            record = ended_by(error, settings, out, error.trace)
+        if self._kept is None:
+            return record
+        if serves and (changed := self._kept.put_back()):
+            record = undone(changed, settings, out)
+        self._kept.keep(out.absolute())
+        return record
 
     def call(
         self,

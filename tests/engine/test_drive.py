@@ -189,7 +189,7 @@ def test_a_killed_worker_is_a_row_and_the_others_finish(
         assert status == ("failed" if "how=die" in name else "done"), name
     record = record_of(out / "deadly-previous-how=die")
     assert record["status"] == "failed"
-    assert record["reason"].startswith("the process died: signal 9 (SIGKILL")
+    assert record["reason"].startswith("backend=moody: the process died: signal 9 (SIGKILL")
     assert "3 of 6 runs failed" in capsys.readouterr().err
 
 
