@@ -95,10 +95,9 @@ def _answer(message: bytes, channel: Channel) -> tuple[str, Any]:
         pickle.dumps(answer)
         return answer
     except RbtmBenchError as error:
+        # a plug-in's own class may be one that cannot be read again
         ours = (kind for kind in type(error).__mro__ if kind.__module__ == errors.__name__)
-        return "raised", next(ours)(
-            errors.one_line(error, MESSAGE)
-        )
+        return "raised", next(ours)(errors.one_line(error, MESSAGE))
     except BaseException as error:
         return "raised", RunError(f"{type(error).__name__}: {errors.one_line(error)}")
 

@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from rbtm_bench.core.errors import RunError
-from rbtm_bench.engine import kept, traces
+from rbtm_bench.engine import kept, sweep_folder, traces
 from rbtm_bench.engine.channel import Channel, GarbageError
 
 if TYPE_CHECKING:
@@ -238,6 +238,8 @@ class Supervisor:
             return record
         if serves and (changed := self._kept.put_back()):
             record = undone(changed, settings, out)
+        elif serves and sweep_folder.status(out) != record["status"]:  # it left no room to say so
+            record = ended_by(RunError(str(record["reason"])), settings, out)
         self._kept.keep(out.absolute())
         return record
 

@@ -44,18 +44,6 @@ def descriptor(similarity: Similarity, scan: Scan) -> Descriptor:
     return given
 
 
-def scores(similarity: Similarity, given: Any, shape: tuple[int, ...]) -> Array:
-    """Scores of this shape: real numbers, finite or NaN."""
-    name = type(similarity).__name__
-    if np.shape(given) != shape or (kind := np.asarray(given).dtype).kind not in "fiu":
-        what = f"shape {np.shape(given)}" if np.shape(given) != shape else kind.name
-        raise ValueError(f"{name}: scores of {what}: expected real ones, {shape}")
-    checked = np.asarray(given, dtype=np.float64)
-    if np.isinf(checked).any():
-        raise ValueError(f"{name}: a score is infinite: expected finite numbers, or NaN")
-    return checked
-
-
 def motion(guess: Guess, given: Any) -> Array:
     """A guess (4, 4), a copy: a plug-in may fill one array again."""
     T = np.array(given)

@@ -12,7 +12,7 @@ from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.guess.base import Guess
 from rbtm_bench.odometry import checked, judge
 from rbtm_bench.selection.base import Selector
-from rbtm_bench.similarity.base import Descriptor, Similarity
+from rbtm_bench.similarity.base import Descriptor, Similarity, checked_scores
 from rbtm_bench.target.base import Target
 
 
@@ -62,7 +62,7 @@ class Work:
         else:
             scores = similarity.scores_under(window, descriptor, motions)
         seconds = time.perf_counter() - started
-        return checked.scores(similarity, scores, (len(window),)), seconds
+        return checked_scores(similarity, scores, (len(window),)), seconds
 
     def predict(self, model: Node, scan: Scan, recent: Sequence[Node]) -> Array:
         """The guess of T_model_scan (4, 4)."""

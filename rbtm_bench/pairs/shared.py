@@ -24,7 +24,7 @@ from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.pairs.codec import pair_key
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.pairs.watched import Watch
-from rbtm_bench.similarity.base import Descriptor, Similarity
+from rbtm_bench.similarity.base import Descriptor, Similarity, checked_scores
 
 T = TypeVar("T")
 
@@ -191,7 +191,7 @@ class KnownScores:
             return
         started = time.perf_counter()
         band = self._similarity.band(self._descriptors, width + 1)
-        self._band = checked.scores(self._similarity, band, (len(self._descriptors), width))
+        self._band = checked_scores(self._similarity, band, (len(self._descriptors), width))
         self._score_seconds = (time.perf_counter() - started) / self._band.size
 
     def describe(self, scan: Scan) -> tuple[Descriptor, float]:
@@ -214,7 +214,7 @@ class KnownScores:
         else:
             scores = self._similarity.scores(past, now)
         seconds = time.perf_counter() - started
-        return checked.scores(self._similarity, scores, (len(window),)), seconds
+        return checked_scores(self._similarity, scores, (len(window),)), seconds
 
 
 class SharedWork(Work):

@@ -97,8 +97,6 @@ class WatchedWork(Work):
         return scores.copy(), seconds
 
     def predict(self, model: Node, scan: Scan, recent: Sequence[Node]) -> Array:
-        for node in (*recent, model):
-            self._watch.hand_once(f"scan {node.scan}'s pose", node.T_world_scan)
         return self._work.predict(model, scan, recent).copy()
 
     def register(

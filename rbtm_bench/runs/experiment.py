@@ -250,6 +250,8 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
         records.append(step.record)
         poses.append(step.T_world_scan)
         truth.append(np.full((4, 4), np.nan) if scan.ground_truth is None else scan.ground_truth)
+        if dataset.watch is not None:  # before the next scan's plug-ins see it
+            dataset.watch.hand(f"scan {scan.index}'s pose", step.T_world_scan)
         if progress:
             progress(len(records), len(dataset))
     seconds, memory = time.perf_counter() - started, peak_memory_mb()

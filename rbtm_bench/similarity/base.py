@@ -65,7 +65,8 @@ class Similarity(ABC):
         band = np.full((len(descriptors), window - 1), np.nan)
         for j in range(1, len(descriptors)):
             past = descriptors[max(0, j - window + 1) : j]
-            band[j, : len(past)] = self.scores(past, descriptors[j])[::-1]
+            scores = checked_scores(self, self.scores(past, descriptors[j]), (len(past),))
+            band[j, : len(past)] = scores[::-1]
         return band
 
 
@@ -96,8 +97,22 @@ class PairwiseSimilarity(Similarity):
             for gap in range(1, min(window, stop)):
                 first = max(start, gap)
                 past, now = descriptors[first - gap : stop - gap], descriptors[first:stop]
-                band[first:stop, gap - 1] = self.pair_scores(past, now)
+                scores = self.pair_scores(past, now)
+                band[first:stop, gap - 1] = checked_scores(self, scores, (len(past),))
         return band
+
+
+def checked_scores(similarity: Similarity, scores: Any, shape: tuple[int, ...]) -> Array:
+    """Scores as a similarity may give them: real numbers, finite or NaN. Raises ``ValueError``."""
+    name = type(similarity).__name__
+    kind = np.asarray(scores).dtype
+    if np.shape(scores) != shape or kind.kind not in "fiu":
+        what = f"shape {np.shape(scores)}" if np.shape(scores) != shape else kind.name
+        raise ValueError(f"{name}: scores of {what}: expected real ones, {shape}")
+    checked = np.asarray(scores, dtype=np.float64)
+    if np.isinf(checked).any():
+        raise ValueError(f"{name}: a score is infinite: expected finite numbers, or NaN")
+    return checked
 
 
 def require_beams(dataset: Dataset, name: str) -> None:

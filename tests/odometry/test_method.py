@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from loop_helpers import Script, drive, method
 
-from rbtm_bench.odometry import checked
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.selection.previous import Previous
 from rbtm_bench.selection.rbtm import Rbtm
+from rbtm_bench.similarity.base import checked_scores
 
 
 @pytest.mark.parametrize(
@@ -25,14 +25,14 @@ from rbtm_bench.selection.rbtm import Rbtm
 )
 def test_scores_that_are_none(scores: Any, message: str) -> None:
     with pytest.raises(ValueError, match=f"Script: .*{message}"):
-        checked.scores(Script(), scores, (2,))
+        checked_scores(Script(), scores, (2,))
 
 
 def test_scores_that_are_some() -> None:
-    given = checked.scores(Script(), np.array([1, 0], dtype=np.int8), (2,))
+    given = checked_scores(Script(), np.array([1, 0], dtype=np.int8), (2,))
     assert given.dtype == np.float64 and given.tolist() == [1.0, 0.0]
     undefined = np.array([np.nan, 0.5])
-    assert checked.scores(Script(), undefined, (2,)) is undefined
+    assert checked_scores(Script(), undefined, (2,)) is undefined
 
 
 @pytest.mark.parametrize("position", [-1, 3, 0.0, True, None])
