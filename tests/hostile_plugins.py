@@ -129,7 +129,7 @@ WAYS: dict[str, Callable[[], Any]] = {
     "exit0": lambda: os._exit(0),
     "abort": os.abort,
     "stop_itself": lambda: os.kill(os.getpid(), signal.SIGSTOP),
-    "endless": lambda: [None for _ in iter(int, 1)],
+    "endless": lambda: [time.sleep(0.1) for _ in iter(int, 1)],
     "sys_exit": lambda: sys.exit(0),
     "interrupt": lambda: raised(KeyboardInterrupt()),
     "generator_exit": lambda: raised(GeneratorExit()),
