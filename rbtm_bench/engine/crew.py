@@ -238,7 +238,7 @@ class Supervisor:
             return record
         if serves and (changed := self._kept.put_back()):
             record = undone(changed, settings, out)
-        elif serves and sweep_folder.status(out) != record["status"]:  # it left no room to say so
+        elif serves and sweep_folder.status(out) == "started":  # no room to say how it ended
             record = ended_by(RunError(str(record["reason"])), settings, out)
         self._kept.keep(out.absolute())
         return record
