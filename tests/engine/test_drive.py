@@ -164,10 +164,8 @@ def test_a_failed_run_is_a_row_and_the_others_finish(
     assert "RuntimeError: out of luck" in captured.out
     assert "0 of 1 done" in captured.out
     table = pd.read_csv(out / "table.csv").set_index("run")
-    assert (
-        table.loc["deadly-previous-how=raise", "reason"]
-        == "backend=deadly: RuntimeError: out of luck"
-    )
+    reason = table.loc["deadly-previous-how=raise", "reason"]
+    assert reason == "backend=deadly: RuntimeError: out of luck"
     assert pd.isna(table.loc["deadly-previous-how=raise", "ape_rmse_m"])  # empty, not 0
     assert table.loc["deadly-previous-how=none", "ape_rmse_m"] > 0
 
