@@ -291,7 +291,7 @@ def test_a_backend_that_raises_midway(
     assert run(out, "backend=fails", "--config-dir", str(extra)) == 2  # refused, not overwritten
     words = ("backend=fails", "backend.how=silent", "overwrite=true", "--config-dir", str(extra))
     assert run(out, *words) == 1
-    assert failed(out)["reason"] == "RuntimeError: RuntimeError"
+    assert failed(out)["reason"] == "backend=fails: RuntimeError"
 
 
 def test_an_interrupted_run(tmp_path: Path, extra: Path) -> None:
