@@ -8,6 +8,8 @@ writes ``build`` and ``align``.
 
 from __future__ import annotations
 
+import math
+import operator
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
@@ -20,7 +22,7 @@ from annotated_types import Ge, Gt
 
 from rbtm_bench.backends.plane_index import PlaneIndex, plane_index
 from rbtm_bench.backends.space_index import SpaceIndex, space_index
-from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.errors import BackendError, one_line
 from rbtm_bench.core.geometry import to_plane, transform, voxel_downsample
 from rbtm_bench.core.rigid import all_finite, rigidity, symmetric_information
 from rbtm_bench.core.types import Array, Scan
@@ -41,6 +43,10 @@ PROGRAMMING_ERRORS = (
 )
 """What a plug-in raises because it is wrong, not because two scans do not match: the run fails,
 and does not go on as if every registration had been refused."""
+
+MAX_MOTION = 1e4
+"""m between two scans. No scan of any sensor reaches as far; what a library returns when its sums
+overflow does."""
 
 TargetKey = tuple[tuple[int, bytes | None], ...]
 """The scans that a prepared cloud holds: their numbers, and for merged ones where they lie."""
@@ -158,28 +164,15 @@ class Backend(ABC):
         name = type(self).__name__
         started = time.perf_counter()
         try:
-            alignment: Any = self.align(source, target, guess)  # a plug-in may return anything
-        except (BackendError, *PROGRAMMING_ERRORS):
+            alignment = self.align(source, target, guess)
+        except BackendError as error:
+            raise BackendError(one_line(error)) from error.__cause__
+        except PROGRAMMING_ERRORS:
             raise
         except Exception as error:
-            raise BackendError(f"{name}: {type(error).__name__}: {error}") from error
+            raise BackendError(f"{name}: {type(error).__name__}: {one_line(error)}") from error
         seconds = time.perf_counter() - started
-        if not isinstance(alignment, Alignment):
-            kind = type(alignment).__name__
-            raise TypeError(f"{name}.align returned {kind}: expected an Alignment")
-        T = _checked_motion(alignment.T_target_source, name)
-        planar = source.planar and target.planar
-        # a library's own kind of bool would not be the `False` that checks look for
-        converged = None if alignment.converged is None else bool(alignment.converged)
-        return Alignment(
-            to_plane(T) if planar else T,
-            converged,
-            alignment.iterations,
-            _checked_information(alignment.information, planar),
-            alignment.library_fitness,
-            alignment.library_rmse,
-            seconds,
-        )
+        return checked_alignment(self, alignment, source.planar and target.planar, seconds)
 
     def _prepared(self, points: Array, planar: bool, key: TargetKey) -> Prepared:
         if len(points) < MIN_POINTS:
@@ -187,6 +180,51 @@ class Backend(ABC):
                 f"scan {key[0][0]}: {len(points)} points: expected at least {MIN_POINTS}"
             )
         return Prepared(points, planar, self.build(points, planar), key)
+
+
+def checked_alignment(
+    backend: Backend, alignment: Any, planar: bool, seconds: float | None = None
+) -> Alignment:
+    """An alignment as a backend may return it, with arrays of its own, its motion in the plane for
+    ``planar`` scans. Raises ``TypeError`` for what is none, ``BackendError`` for no motion."""
+    name = type(backend).__name__
+    if not isinstance(alignment, Alignment):
+        kind = type(alignment).__name__
+        raise TypeError(f"{name}.align returned {kind}: expected an Alignment")
+    T = checked_motion(alignment.T_target_source, name, MAX_MOTION)
+    iterations = alignment.iterations
+    return Alignment(
+        to_plane(T) if planar else T,
+        # a library's own kind of bool would not be the `False` that checks look for
+        None if alignment.converged is None else bool(alignment.converged),
+        None if iterations is None else operator.index(iterations),
+        _checked_information(alignment.information, planar),
+        _number_or_none(alignment.library_fitness),
+        _number_or_none(alignment.library_rmse),
+        alignment.seconds if seconds is None else seconds,
+    )
+
+
+def checked_motion(given: Any, name: str, most: float = math.inf) -> Array:
+    """A motion (4, 4) that ``name`` returned, a copy in float64. Raises ``BackendError`` for one
+    that is not real, finite and rigid, or longer than ``most`` m."""
+    try:
+        plain = np.asarray(given)
+    except ValueError:  # rows of different lengths
+        raise BackendError(f"{name} returned no rigid motion") from None
+    if plain.dtype.kind not in "fiu":
+        raise BackendError(f"{name} returned no rigid motion: {plain.dtype.name}, not real numbers")
+    T = np.array(plain, dtype=np.float64, order="C")
+    if T.shape != (4, 4) or not rigidity(T) <= ANSWER_TOLERANCE:
+        raise BackendError(f"{name} returned no rigid motion")
+    length = math.hypot(T.item(3), T.item(7), T.item(11))
+    if length > most:
+        raise BackendError(f"{name} returned an implausible motion: {length:.3g} m > {most:g} m")
+    return T
+
+
+def _number_or_none(value: Any) -> float | None:
+    return None if value is None else float(value)
 
 
 def _checked_guess(source: Any, target: Any, T_target_source: Any) -> Array:
@@ -202,18 +240,6 @@ def _checked_guess(source: Any, target: Any, T_target_source: Any) -> Array:
     if guess.shape != (4, 4) or not rigidity(guess) <= GUESS_TOLERANCE:
         raise ValueError("the initial guess is not a rigid 4x4 motion")
     return guess
-
-
-def _checked_motion(given: Any, name: str) -> Array:
-    """A backend's answer as float64. Raises ``BackendError`` for what is no motion."""
-    if not isinstance(given, np.ndarray) or given.dtype != np.float64:
-        given = np.asarray(given)
-        if given.dtype.kind not in "fiu":
-            raise BackendError(f"{name} returned a motion of {given.dtype}: expected real numbers")
-    T = np.array(given, dtype=np.float64, order="C")
-    if T.shape != (4, 4) or not rigidity(T) <= ANSWER_TOLERANCE:
-        raise BackendError(f"{name} returned no rigid motion")
-    return T
 
 
 def _checked_information(given: Array | None, planar: bool) -> Array | None:

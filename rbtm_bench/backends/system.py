@@ -14,9 +14,9 @@ from typing import Literal
 
 import numpy as np
 
-from rbtm_bench.backends.base import MIN_POINTS, PROGRAMMING_ERRORS
-from rbtm_bench.core.errors import BackendError
-from rbtm_bench.core.geometry import is_rigid, to_plane
+from rbtm_bench.backends.base import MIN_POINTS, PROGRAMMING_ERRORS, checked_motion
+from rbtm_bench.core.errors import BackendError, one_line
+from rbtm_bench.core.geometry import to_plane
 from rbtm_bench.core.types import Array, Scan
 
 
@@ -64,16 +64,14 @@ class Tracker(ABC):
         try:
             placed, converged = self.place(points, scan.planar)
         except BackendError as error:
-            raise BackendError(f"scan {scan.index}: {error}") from error
+            raise BackendError(f"scan {scan.index}: {one_line(error)}") from error
         except PROGRAMMING_ERRORS:
             raise
         except Exception as error:
             name = type(self).__name__
-            raise BackendError(f"{name}: {type(error).__name__}: {error}") from error
+            raise BackendError(f"{name}: {type(error).__name__}: {one_line(error)}") from error
         seconds = time.perf_counter() - started
-        T = np.array(placed, dtype=np.float64)
-        if not is_rigid(T, tolerance=1e-5):
-            raise BackendError(f"{type(self).__name__} returned no rigid motion")
+        T = checked_motion(placed, type(self).__name__)
         return Tracked(to_plane(T) if scan.planar else T, converged, seconds)
 
 

@@ -11,6 +11,25 @@ class RbtmBenchError(Exception):
     exit_code = 1
 
 
+LINE = 1000
+"""Characters of an error's words that are told: they go into rows, tables and the pair store."""
+
+
+def one_line(error: object, most: int = LINE) -> str:
+    """The words of an error, or of anything, on one line of bounded length; "" if it has none.
+
+    A plug-in's error may be unable to say what it is, or say more than memory holds.
+    """
+    try:
+        text = str(error)
+    except Exception as why:
+        return f"(its words cannot be read: {type(why).__name__})"
+    line = " ".join(text[: 2 * most].split())
+    if len(text) <= 2 * most and len(line) <= most:
+        return line
+    return f"{line[:most]} ... ({len(text)} characters)"
+
+
 class ConfigError(RbtmBenchError):
     """A setting is unknown, of the wrong type, out of range, or does not fit the data."""
 

@@ -20,6 +20,16 @@ from rbtm_bench.core.step_columns import STEPS
 Array = NDArray[np.float64]
 
 
+SCAN_ARRAYS = ("points", "ranges", "angles", "odometry", "ground_truth")
+
+
+def read_only(array: Array) -> Array:
+    """A view of an array that cannot be written into."""
+    view = np.asarray(array).view()
+    view.flags.writeable = False
+    return view
+
+
 @dataclass(frozen=True, eq=False)
 class Scan:
     """One sensor reading.
@@ -42,6 +52,15 @@ class Scan:
     def copied(self) -> Scan:
         """The scan with arrays of its own."""
         return copy.deepcopy(self)
+
+    def read_only(self) -> Scan:
+        """The scan with arrays that nobody can write into by accident."""
+        views: dict[str, Any] = {name: read_only(one) for name, one in self.arrays().items()}
+        return replace(self, **views)
+
+    def arrays(self) -> dict[str, Array]:
+        """The arrays that it has, by name."""
+        return {name: array for name in SCAN_ARRAYS if (array := getattr(self, name)) is not None}
 
     def without_truth(self) -> Scan:
         """The scan as a method may see it."""

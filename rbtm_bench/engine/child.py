@@ -10,14 +10,17 @@ import os
 import pickle
 import select
 import signal
+import socket
 import sys
 import time
 from collections.abc import Callable
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from rbtm_bench.core import errors
 from rbtm_bench.core.errors import RbtmBenchError, RunError
+from rbtm_bench.engine.channel import Channel
+from rbtm_bench.engine.traces import differs, state
 
 PR_SET_CHILD_SUBREAPER = 36
 """prctl(2): children that lose their parent become this process's."""
@@ -25,6 +28,8 @@ PR_SET_CHILD_SUBREAPER = 36
 Progress = Callable[[int, int], None]
 """Called with scans done and scans in all."""
 
+MESSAGE = 10_000
+"""Characters of an error that the parent is told."""
 PROGRESS_S = 0.2
 """Least time between two messages of progress."""
 
@@ -32,7 +37,7 @@ NEEDED = ("rbtm_bench.engine.one_run", "pyarrow.parquet", "evo.core.metrics")
 """What every run needs, loaded before a time limit counts; a backend's library is not."""
 
 
-def serve(channel_fd: int, lifeline: int, crash: int, pin: bool) -> None:
+def serve(channel_fd: int, lifeline: int, crash: int, pin: bool, word: str, foreign: bool) -> None:
     """The child: answer one job after the other until the parent hangs up."""
     import faulthandler
 
@@ -47,26 +52,41 @@ def serve(channel_fd: int, lifeline: int, crash: int, pin: bool) -> None:
         pin_to_free_core()
     for module in NEEDED:
         importlib.import_module(module)
-    channel = Connection(channel_fd)
+    channel = Channel(socket.socket(fileno=channel_fd), bytes.fromhex(word))
     place, own = os.getcwd(), os.getpid()
     _adopt_orphans()
     channel.send("ready")
     while True:
         try:
-            message = channel.recv_bytes()
+            message = channel.receive_bytes()
         except (EOFError, OSError):
+            if foreign:
+                _leave()
             return
         channel.send("begun")
         os.chdir(place)  # wherever the last job went
+        before = state() if foreign else {}
         answer = _answer(message, channel)
         _leave_if_forked(own)
         channel.send(answer)
         for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, ValueError, AttributeError):  # closed, or none
                 stream.flush()
+        if foreign and differs(before):
+            _leave()
 
 
-def _answer(message: bytes, channel: Connection) -> tuple[str, Any]:
+def _leave() -> None:
+    """End at once, whatever a plug-in would still do: threads, exit functions. A process in which
+    one has changed something is not used again; the parent starts another when it needs one."""
+    from rbtm_bench.runs.workbench import close_own
+
+    with contextlib.suppress(Exception):
+        close_own()
+    os._exit(0)
+
+
+def _answer(message: bytes, channel: Channel) -> tuple[str, Any]:
     """Do a job: ("returned", value) or ("raised", exception)."""
     try:
         function, args, sys.argv[:], watched = pickle.loads(message)
@@ -75,12 +95,14 @@ def _answer(message: bytes, channel: Connection) -> tuple[str, Any]:
         pickle.dumps(answer)
         return answer
     except RbtmBenchError as error:
-        return "raised", error
+        # a plug-in's own class may be one that cannot be read again
+        ours = (kind for kind in type(error).__mro__ if kind.__module__ == errors.__name__)
+        return "raised", next(ours)(errors.one_line(error, MESSAGE))
     except BaseException as error:
-        return "raised", RunError(f"{type(error).__name__}: {' '.join(str(error).split())}")
+        return "raised", RunError(f"{type(error).__name__}: {errors.one_line(error)}")
 
 
-def _reporter(channel: Connection) -> Progress:
+def _reporter(channel: Channel) -> Progress:
     """Sends progress on, as often as an eye can follow."""
     sent, own = 0.0, os.getpid()
 

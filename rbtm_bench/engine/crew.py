@@ -17,6 +17,7 @@ import json
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -24,11 +25,12 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from rbtm_bench.core.errors import RunError
+from rbtm_bench.engine import kept, sweep_folder, traces
+from rbtm_bench.engine.channel import Channel, GarbageError
 
 if TYPE_CHECKING:
     from rbtm_bench.runs.settings import Settings
@@ -42,6 +44,8 @@ MEMORY_POLL_S = 0.1
 """How often it looks at a child's memory, if that has a limit."""
 START_S = 120.0
 """A child that is not ready by then counts as broken."""
+HANG_UP_S = 2.0
+"""How long after the end of its channel a child may take to end."""
 CLOSE_S = 10.0
 """What a child gets to end by itself when its work is over."""
 
@@ -73,22 +77,25 @@ class Child:
     the foreign packages of its runs; what they change in it they change for themselves alone."""
 
     process: subprocess.Popen[bytes]
-    channel: Connection
+    channel: Channel
     lifeline: IO[bytes]
     crash: IO[bytes]
     pin: bool
     cwd: Path
     serves: frozenset[str] = frozenset()
+    mark: str = ""
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     @classmethod
     def start(cls, pin: bool, cwd: Path, serves: frozenset[str] = frozenset()) -> Child:
         """Start a child and wait until it is ready. Raises ``ChildError`` if that fails."""
-        channel, theirs = Pipe()
+        ours, theirs = socket.socketpair()
+        mark = os.urandom(8).hex()
+        channel = Channel(ours, bytes.fromhex(mark), plain=bool(serves))
         heard, lifeline = os.pipe()
         crash = _scratch_file()
         fds = (theirs.fileno(), heard, crash.fileno())
-        words = json.dumps([[str(place) for place in sys.path], *fds, pin])
+        words = json.dumps([[str(place) for place in sys.path], *fds, pin, mark, bool(serves)])
         error_output = _error_output()  # standard output is the parent's alone: for tables
         try:
             process = subprocess.Popen(
@@ -98,12 +105,13 @@ class Child:
                 stderr=error_output,
                 pass_fds=fds,
                 cwd=cwd,
+                env={**os.environ, traces.MARK: mark},
                 process_group=0,  # Ctrl-C is for the parent; and a kill takes what it started too
             )
         finally:
             theirs.close()
             os.close(heard)
-        child = cls(process, channel, os.fdopen(lifeline, "wb"), crash, pin, cwd, serves)
+        child = cls(process, channel, os.fdopen(lifeline, "wb"), crash, pin, cwd, serves, mark)
         try:
             child.receive(time.monotonic() + START_S)
         except BaseException as error:
@@ -122,20 +130,29 @@ class Child:
             if memory_limit is not None:
                 self._refuse_beyond(memory_limit)
             try:
-                if self.channel.poll(max(left, 0.0)):
-                    return self.channel.recv()
-                dead = self._exited() and not self.channel.poll(0)
-            except (EOFError, OSError):
-                dead = True
-            if dead:
-                raise self._post_mortem()
+                with contextlib.suppress(TimeoutError):
+                    return self.channel.receive(max(left, 0.0))
+                if self._exited():
+                    return self.channel.receive(0.0)
+            except GarbageError as error:
+                self.kill()
+                raise ChildError(str(error)) from None
+            except (EOFError, OSError):  # a TimeoutError, too: it said nothing before it died
+                raise self._post_mortem() from None
+            self._wake()
             if deadline is not None and time.monotonic() >= deadline:
                 raise TimeoutError
 
     def _refuse_beyond(self, memory_limit: float) -> None:
-        used = resident_mb(self.process.pid)
+        used = traces.resident_mb(self.process.pid)
         if used > memory_limit:
             raise LimitError(f"more than memory_limit={memory_limit:g} MB ({used:.0f} MB)")
+
+    def _wake(self) -> None:
+        """Let a process go on that has been stopped: nobody else would."""
+        with contextlib.suppress(ChildProcessError, ProcessLookupError):
+            if os.waitid(os.P_PID, self.process.pid, os.WSTOPPED | os.WNOHANG) is not None:
+                os.killpg(self.process.pid, signal.SIGCONT)
 
     def _exited(self) -> bool:
         """True if the process has ended. It stays a zombie: nobody else gets its number."""
@@ -149,11 +166,12 @@ class Child:
 
     def _post_mortem(self) -> ChildError:
         """What the child died of; the socket may close a little before the process ends."""
-        patience = time.monotonic() + CLOSE_S
-        while not self._exited() and time.monotonic() < patience:
+        patience = time.monotonic() + HANG_UP_S
+        while not (exited := self._exited()) and time.monotonic() < patience:
             time.sleep(0.005)
         self.kill()
-        error = ChildError(f"the process died: {cause_of_death(self.process.returncode)}")
+        why = f"the process died: {cause_of_death(self.process.returncode)}"
+        error = ChildError(why if exited else "it closed the channel to its parent")
         self.crash.seek(0)
         error.trace = self.crash.read().decode(errors="replace").strip()
         return error
@@ -162,13 +180,12 @@ class Child:
         """End the process, and those that it has started, at once; from any thread."""
         with self._lock:
             if self.process.returncode is None:
-                _, *others = tree(self.process.pid)
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(self.process.pid, signal.SIGKILL)
-                for pid in others:  # those that have left its group
+                for pid in (-self.process.pid, *traces.descendants(self.process.pid)):
                     with contextlib.suppress(ProcessLookupError):
                         os.kill(pid, signal.SIGKILL)
                 self.process.wait()
+            if self.serves:
+                traces.end_marked(self.mark)
 
     def end(self, patience: float = 0.0) -> None:
         """Let the process end by itself if it does so within ``patience`` s; kill it if not."""
@@ -189,6 +206,7 @@ class Supervisor:
         down. None: those of this process."""
         self.cwd, self.argv = cwd, argv
         self._child: Child | None = None
+        self._kept: kept.Kept | None = None
         self._stopped = False
 
     @property
@@ -214,20 +232,31 @@ class Supervisor:
         MB, is for the child and the processes that it has started. Raises ``StoppedError`` when
         ``kill`` is called: the run then stays "started".
         """
-        from rbtm_bench.engine.one_run import ended_by, run_one
+        from rbtm_bench.engine.one_run import ended_by, run_one, undone
         from rbtm_bench.runs.plugins import foreign_modules
 
         pin = bool(settings.config.get("pin", True))
+        serves = foreign_modules(settings.config)
+        self._kept = kept.of(out.absolute().parent, make=bool(serves))
+        if self._kept is not None and serves:
+            self._kept.keep_all()
         try:
             job = (run_one, (name, settings, out.absolute()))
-            serves = foreign_modules(settings.config)
             limits = (settings.config.get("time_limit"), settings.config.get("memory_limit"))
             _, record = self._ask(job, pin, limits, progress, serves)
+            record = dict(record)
         except LimitError as error:
-            return ended_by(error, settings, out)
+            record = ended_by(error, settings, out)
         except ChildError as error:
-            return ended_by(error, settings, out, error.trace)
-        return dict(record)
+            record = ended_by(error, settings, out, error.trace)
+        if self._kept is None:
+            return record
+        if serves and (changed := self._kept.put_back()):
+            record = undone(changed, settings, out)
+        elif serves and sweep_folder.status(out) == "started":  # no room to say how it ended
+            record = ended_by(RunError(str(record["reason"])), settings, out)
+        self._kept.keep(out.absolute())
+        return record
 
     def call(
         self,
@@ -346,27 +375,6 @@ def cause_of_death(code: int) -> str:
     except ValueError:
         name = "unknown"
     return f"signal {-code} ({name}{'; perhaps out of memory' if name == 'SIGKILL' else ''})"
-
-
-def tree(pid: int) -> list[int]:
-    """A process and its descendants, also those in sessions of their own."""
-    found = [pid]
-    for one in found:
-        with contextlib.suppress(OSError):
-            for thread in Path("/proc", str(one), "task").iterdir():
-                with contextlib.suppress(OSError):
-                    found += map(int, (thread / "children").read_text().split())
-    return found
-
-
-def resident_mb(pid: int) -> float:
-    """What a process and its descendants have resident, in MB (10^6 bytes). Pages that several
-    share count for each; a process that has just ended counts as nothing."""
-    pages = 0
-    for one in tree(pid):
-        with contextlib.suppress(OSError, IndexError):
-            pages += int(Path("/proc", str(one), "statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") * 1e-6
 
 
 def _scratch_file() -> IO[bytes]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from rbtm_bench.runs import experiment, provenance
 from rbtm_bench.runs.claim import refuse_existing
 from rbtm_bench.runs.grid import Point
 from rbtm_bench.runs.identity import node_key
-from rbtm_bench.runs.plugins import foreign_modules
+from rbtm_bench.runs.plugins import foreign_modules, foreign_plugins
 from rbtm_bench.runs.settings import Settings
 from rbtm_bench.runs.workbench import own_workbench
 
@@ -58,7 +57,7 @@ def run_one(
         refuse_existing(out, bool(settings.config["overwrite"]))
         experiment.clear(out)  # an earlier run's files must not stand for a run that never starts
     except (OSError, RbtmBenchError) as error:
-        return name, {"status": "failed", "reason": experiment.reason(error)}
+        return name, {"status": "failed", "reason": experiment.reason(error, settings)}
     try:
         bench = own_workbench(settings)
         try:
@@ -73,7 +72,7 @@ def run_one(
             if bench is not None:
                 bench.flush()
     except BaseException as error:  # of a plug-in's making: Ctrl-C does not reach a worker
-        return name, ended_by(error, settings, out, traceback.format_exc())
+        return name, ended_by(error, settings, out, experiment.trace_of(error))
 
 
 def _refuse_leftovers(settings: Settings, out: Path) -> None:
@@ -84,7 +83,18 @@ def _refuse_leftovers(settings: Settings, out: Path) -> None:
         record = sweep_folder.record_of(out)
         write_json(out / "run.json", {**record, "status": "started"})
         processes = "a process" if left == 1 else f"{left} processes"
-        raise RunError(f"{', '.join(sorted(foreign))} left {processes} behind")
+        names = foreign_plugins(settings.config, settings.choices)
+        raise RunError(f"{names} left {processes} behind")
+
+
+def undone(changed: Sequence[str], settings: Settings, out: Path) -> dict[str, Any]:
+    """Leave a run during which files of others were changed as a failed one; its run.json."""
+    others = f" (and {len(changed) - 1} more)" if changed[1:] else ""
+    names = foreign_plugins(settings.config, settings.choices)
+    error = RunError(f"{names}: {changed[0]}{others} was changed while it ran, and put back")
+    with contextlib.suppress(OSError, RbtmBenchError):
+        write_json(out / "run.json", {**sweep_folder.record_of(out), "status": "started"})
+    return ended_by(error, settings, out)
 
 
 def ended_by(
@@ -100,7 +110,7 @@ def ended_by(
         return record
     ending = {
         "status": "failed",
-        "reason": experiment.reason(error),
+        "reason": experiment.reason(error, settings),
         "finished": provenance.now(),
         "traceback": trace,
     }

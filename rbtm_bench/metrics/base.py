@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import ClassVar
 
 import numpy as np
 
 from rbtm_bench.core.column import Column
-from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.errors import DataError, one_line
 from rbtm_bench.core.trajectory import Mask, Trajectory, orthonormalised
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Dataset, Relations
@@ -69,12 +70,29 @@ class ScanMetric(Metric):
 
 
 def evaluated(
-    metric: Metric, estimate: Trajectory, truth: Trajectory | None, dataset: Dataset
+    metric: Metric,
+    estimate: Trajectory,
+    truth: Trajectory | None,
+    dataset: Dataset,
+    taken: Container[str] = (),
 ) -> Values:
-    """What a metric makes of a run, whether or not it needs the scans."""
+    """What a metric makes of a run, whether or not it needs the scans.
+
+    Raises ``ValueError``, naming it, for keys that it has not declared or that are ``taken``, and
+    for what is no finite number.
+    """
     if isinstance(metric, ScanMetric):
-        return metric.evaluate_scans(estimate, truth, dataset)
-    return metric.evaluate(estimate, truth, dataset.relations)
+        values = metric.evaluate_scans(estimate, truth, dataset)
+    else:
+        values = metric.evaluate(estimate, truth, dataset.relations)
+    name = type(metric).__name__
+    for key, value in values.items():
+        if key not in metric.columns or key in taken:
+            raise ValueError(f"{name}: {one_line(key)} is not a column of its own")
+        real = isinstance(value, int | float) and math.isfinite(value)
+        if value is not None and not real:
+            raise ValueError(f"{name}: {key} is {one_line(value)}: expected a number or None")
+    return values
 
 
 def paired(estimate: Trajectory, truth: Trajectory | None) -> tuple[Array, Array] | None:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench.backends.base import Alignment, Backend, Prepared
+from rbtm_bench.backends.base import Alignment, Backend, Prepared, checked_alignment
 from rbtm_bench.backends.plane_index import plane_index
 from rbtm_bench.backends.space_index import SpaceIndex, space_index
 from rbtm_bench.core.geometry import symmetric
@@ -54,6 +54,8 @@ def register(
     """
     compile_kernels()
     alignment = backend.register(source, target, T_target_source)
+    if type(backend).register is not Backend.register:  # of its own making: looked at as well
+        alignment = checked_alignment(backend, alignment, source.planar and target.planar)
     return judged(alignment, source, target, backend.max_correspondence_distance, most)
 
 

@@ -17,7 +17,7 @@ from rbtm_bench.backends.base import Prepared
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Array, Edge, Node, RegistrationResult, Scan, Step, StepRecord
 from rbtm_bench.core.uncertainty import chained, edge_covariance
-from rbtm_bench.odometry import rows
+from rbtm_bench.odometry import checked, rows
 from rbtm_bench.odometry.chain import PoseChain
 from rbtm_bench.odometry.degeneracy import remap, unseen
 from rbtm_bench.odometry.judge import MIN_INLIERS
@@ -113,7 +113,8 @@ def _ready(part: Sequence[Scan], work: Work) -> Iterator[Ready]:
             prepared, record.t_prepare_s = work.prepare(scan)
         except BackendError as error:
             record.status, record.reason = "unusable", str(error)
-        record.t_guess_s = method.guess.observe(scan, prepared, work.register)
+        observed = method.guess.observe(scan, prepared, work.register)
+        record.t_guess_s = checked.seconds(method.guess, observed)
         yield Ready(scan, record, prepared, None if descriptors is None else descriptors[i])
 
 
@@ -135,7 +136,8 @@ def _select(ready: Ready, window: Window, recent: Sequence[Node], work: Work) ->
             record.t_guess_s += time.perf_counter() - started
         scores, seconds = work.scores(window, scan.index, ready.descriptor, motions)
     started = time.perf_counter()
-    selection = method.selector.choose(scan.index, window, scores)
+    given = method.selector.choose(scan.index, window, scores)
+    selection = checked.selection(method.selector, window, given, scan.index)
     record.candidates += selection.chosen
     record.undefined_scores += selection.undefined
     record.t_select_s += seconds + time.perf_counter() - started
@@ -167,11 +169,8 @@ def _register(
     if not accepted:
         return None
     started = time.perf_counter()
-    which, reason = selector.pick(scan, accepted)
+    which, reason = checked.pick(selector, scan, accepted)
     record.t_select_s += time.perf_counter() - started
-    if not 0 <= which < len(accepted):
-        name = type(selector).__name__
-        raise ValueError(f"{name}.pick chose {which!r} of {len(accepted)} registrations")
     chosen = accepted[which]
     rows.fill(record, chosen, reason, work.method.guess_along_degenerate)
     return _edge(chosen.model, scan, chosen.result, selector)
@@ -190,7 +189,7 @@ def _attempt(
     T_guess = work.predict(model, ready.scan, recent)
     started = time.perf_counter()
     try:
-        target = method.target.build(model.scan, window, method.backend)
+        target = checked.target(method.target, ready.scan, model.scan, window, method.backend)
         built = time.perf_counter()
         record.t_prepare_s += built - started
         record.registrations += 1
@@ -201,7 +200,7 @@ def _attempt(
             if method.guess_along_degenerate is not None:
                 record.kept_guess = unseen(result, method.guess_along_degenerate)
                 result = remap(result, T_guess, method.guess_along_degenerate)
-            why_not = method.check.reject(result, T_guess)
+            why_not = checked.rejection(method.check, result, T_guess)
         spent = time.perf_counter() - built - (0.0 if result.reused else result.seconds)
         record.t_register_s += result.seconds
         record.t_check_s += max(0.0, spent)

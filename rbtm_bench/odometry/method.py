@@ -12,11 +12,11 @@ from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.check.base import Check
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.guess.base import Guess
-from rbtm_bench.odometry import judge
+from rbtm_bench.odometry import checked, judge
 from rbtm_bench.selection.base import Selector
 from rbtm_bench.selection.window import Window
-from rbtm_bench.similarity.band import Band, checked_scores
-from rbtm_bench.similarity.base import Descriptor, PairwiseSimilarity, Similarity
+from rbtm_bench.similarity.band import Band
+from rbtm_bench.similarity.base import Descriptor, PairwiseSimilarity, Similarity, checked_scores
 from rbtm_bench.target.base import Target
 
 
@@ -58,13 +58,13 @@ class Work:
     def prepare(self, scan: Scan) -> tuple[Prepared, float]:
         """The prepared scan. Raises ``BackendError`` for one that the backend cannot use."""
         started = time.perf_counter()
-        prepared = self.method.backend.prepare(scan)
+        prepared = checked.prepared(self.method.backend, scan)
         return prepared, time.perf_counter() - started
 
     def describe(self, scans: Sequence[Scan]) -> tuple[Descriptor, float]:
         """The descriptors (N, D) of a block of scans, in the loop's order; seconds are a scan's."""
         started = time.perf_counter()
-        descriptors = self.method.similarity.describe_all(scans)
+        descriptors = checked.descriptors(self.method.similarity, scans)
         described = time.perf_counter()
         if self._band is not None and len(scans) > 1:
             self._band.extend(np.array([scan.index for scan in scans]), descriptors)
@@ -91,7 +91,8 @@ class Work:
 
     def predict(self, model: Node, scan: Scan, recent: Sequence[Node]) -> Array:
         """The guess of T_model_scan (4, 4)."""
-        return self.method.guess.predict(model, scan, recent)
+        guess = self.method.guess
+        return checked.motion(guess, guess.predict(model, scan, recent))
 
     def register(
         self, source: Prepared, target: Prepared, T_target_source: Array

@@ -6,9 +6,10 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from rbtm_bench.backends.base import MAX_MOTION
 from rbtm_bench.backends.system import System, Tracked, Tracker
-from rbtm_bench.core.errors import BackendError
-from rbtm_bench.core.geometry import inverse
+from rbtm_bench.core.errors import BackendError, RunError
+from rbtm_bench.core.geometry import inverse, translation_norm
 from rbtm_bench.core.types import Edge, Scan, Step, StepRecord
 from rbtm_bench.odometry.chain import PoseChain
 
@@ -40,6 +41,9 @@ def system_odometry(scans: Iterable[Scan], system: System) -> Iterator[Step]:
             T_now = T_before @ motion if tracked is None else tracked.T_world_scan
             T_before = T_before if is_tracking else T_now
             motion = inverse(T_before) @ T_now
+            if translation_norm(motion) > MAX_MOTION:
+                name = type(system).__name__
+                raise RunError(f"{name}: an implausible motion between two scans: {motion[:3, 3]}")
             kind = "system" if record.status == "registered" else "predicted"
             edges = (Edge(previous, scan.index, motion, kind=kind),)
             T_world_scan = chain.add(edges[0])

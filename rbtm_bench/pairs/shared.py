@@ -19,13 +19,14 @@ from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.datasets.base import Dataset, Relations
-from rbtm_bench.odometry import judge
+from rbtm_bench.odometry import checked, judge
 from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.pairs.codec import pair_key
 from rbtm_bench.pairs.store import PairStore
+from rbtm_bench.pairs.watched import Watch
 from rbtm_bench.selection.window import Window
-from rbtm_bench.similarity.band import Band, checked_scores
-from rbtm_bench.similarity.base import BLOCK, Descriptor, Similarity
+from rbtm_bench.similarity.band import Band
+from rbtm_bench.similarity.base import BLOCK, Descriptor, Similarity, checked_scores
 
 T = TypeVar("T")
 
@@ -64,11 +65,11 @@ class Bounded(Generic[T]):
 
 
 class SharedDataset(Dataset):
-    """A data set whose scans are read once, as far as memory allows. ``private``: whoever asks gets
-    a copy, so that a plug-in which writes into it changes no other run."""
+    """A data set whose scans are read once, as far as memory allows, and handed out read-only; or,
+    with a ``watch``, as copies that it remembers: a stranger's library may refuse such arrays."""
 
-    def __init__(self, dataset: Dataset, limit: float, private: bool = False) -> None:
-        self.plain, self.private = dataset, private
+    def __init__(self, dataset: Dataset, limit: float, watch: Watch | None = None) -> None:
+        self.plain, self.watch = dataset, watch
         self._scans: Bounded[Scan] = Bounded(limit)
         for name in ("planar", "has_beams", "has_odometry", "has_ground_truth", "skipped"):
             setattr(self, name, getattr(dataset, name))
@@ -79,10 +80,10 @@ class SharedDataset(Dataset):
     def __getitem__(self, index: int) -> Scan:
         scan = self._scans.get(index)
         if scan is None:
-            scan = self.plain[index]
+            scan = self.plain[index].read_only()
             size = scan.points.nbytes + (0 if scan.ranges is None else scan.ranges.nbytes) + 1000
             self._scans.put(index, scan, size)
-        return scan.copied() if self.private else scan
+        return scan if self.watch is None else self.watch.scan(scan)
 
     def __iter__(self) -> Iterator[Scan]:
         for index in range(len(self)):
@@ -107,10 +108,12 @@ class KnownRegistrations:
         scans: Bounded[tuple[Prepared, float]],
         results: Bounded[RegistrationResult | BackendError],
         judge_points: int = judge.MAX_POINTS,
+        own: bytes | None = None,
     ) -> None:
         """``common`` tells this data set, backend and ``judge_points`` from others in ``store``
-        and in the memories ``scans`` and ``results``, which several backends share."""
-        self.backend, self._store, self._common = backend, store, common
+        and in the memories ``scans`` and ``results``, which several backends share. With ``own``,
+        which tells strangers in this process apart as well, new pairs are stored under that."""
+        self.backend, self._store, self._common, self._own = backend, store, common, own
         self.scans, self.results = scans, results
         self._judge_points = judge_points
 
@@ -121,7 +124,7 @@ class KnownRegistrations:
         if known is not None:
             return known
         started = time.perf_counter()
-        prepared = self.backend.prepare(scan)
+        prepared = checked.prepared(self.backend, scan)
         seconds = time.perf_counter() - started
         size = prepared.points.nbytes * NATIVE_SHARE + 2000
         return self.scans.put(key, (prepared, seconds), size)
@@ -146,6 +149,9 @@ class KnownRegistrations:
             return self._compute(source, target, T_target_source)
         key = pair_key(self._common, target.key, source.key[0][0], T_target_source)
         known = self._store.get(key)
+        if known is None and self._own is not None:
+            key = pair_key(self._own, target.key, source.key[0][0], T_target_source)
+            known = self._store.get(key)
         if known is not None:
             return _reused(known)
         outcome = self._compute(source, target, T_target_source)
@@ -179,7 +185,7 @@ class KnownScores:
         self._similarity = similarity
         started = time.perf_counter()
         self._descriptors: Descriptor = np.concatenate(
-            [similarity.describe_all(block) for block in _blocks_of(dataset)]
+            [checked.descriptors(similarity, block) for block in _blocks_of(dataset)]
         )
         self._describe_seconds = (time.perf_counter() - started) / max(1, len(dataset))
         self._band = Band(similarity, 0)

@@ -48,8 +48,10 @@ class PairStore:
     process, for file systems that cannot lock; it also reads what others have closed and what
     ``merge`` has put together. ``put`` keeps up to ``batch`` pairs, up to about ``seconds`` s,
     before they are written. No trouble with files raises: ``notes`` (and a warning) tells it.
+    While ``held`` nothing is written but by ``flush``: until then it can be dropped.
     """
 
+    held = False
     _how: How = "shared"
 
     def __init__(
@@ -80,7 +82,7 @@ class PairStore:
         if self._pending:
             if (blob := self._pending.get(key)) is not None:
                 return unpack(key, blob)
-            if time.monotonic() >= self._due:
+            if time.monotonic() >= self._due and not self.held:
                 self.flush()
         for file in self._files:
             try:
@@ -110,8 +112,13 @@ class PairStore:
         if not self._pending:
             self._due = time.monotonic() + self.seconds
         self._pending.setdefault(key, blob)
-        if len(self._pending) >= self.batch or time.monotonic() >= self._due:
+        full = len(self._pending) >= self.batch or time.monotonic() >= self._due
+        if full and not self.held:
             self.flush()
+
+    def drop(self) -> None:
+        """Forget what has been put and not been written."""
+        self._pending.clear()
 
     def flush(self) -> None:
         """Write what ``put`` has kept back, in one transaction."""

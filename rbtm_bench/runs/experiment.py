@@ -9,6 +9,7 @@ relation). Every file appears whole or not at all.
 from __future__ import annotations
 
 import contextlib
+import os
 import time
 import traceback
 from collections.abc import Callable, Iterator
@@ -19,11 +20,18 @@ from typing import Any, Protocol
 import numpy as np
 
 from rbtm_bench.backends.system import System
-from rbtm_bench.core.errors import ConfigError, RbtmBenchError, WriteError
+from rbtm_bench.core.errors import (
+    ConfigError,
+    DataError,
+    RbtmBenchError,
+    RunError,
+    WriteError,
+    one_line,
+)
 from rbtm_bench.core.files import make_folder, write_atomically, write_json, write_text
 from rbtm_bench.core.kernels import make_ready
 from rbtm_bench.core.trajectory import Trajectory
-from rbtm_bench.core.types import Array, Scan, StepTable
+from rbtm_bench.core.types import Array, Scan, StepTable, read_only
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.metrics.base import Metric, evaluated
 from rbtm_bench.metrics.cost import peak_memory_mb
@@ -33,11 +41,13 @@ from rbtm_bench.metrics.summary import summarise_steps
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.odometry.system import system_odometry
+from rbtm_bench.pairs.shared import SharedDataset
+from rbtm_bench.pairs.watched import Watch, WatchedWork
 from rbtm_bench.runs import provenance
 from rbtm_bench.runs.claim import claimed, refuse_existing
 from rbtm_bench.runs.declared import PLUGIN_GROUPS
 from rbtm_bench.runs.pinning import pin_to_free_core
-from rbtm_bench.runs.plugins import is_system, locate
+from rbtm_bench.runs.plugins import foreign_modules, foreign_plugins, is_system, locate
 from rbtm_bench.runs.settings import Settings
 from rbtm_bench.runs.steps import write_steps
 from rbtm_bench.similarity.base import Similarity
@@ -45,6 +55,10 @@ from rbtm_bench.similarity.base import Similarity
 Progress = Callable[[int, int], None]
 """Called with scans done and scans in all."""
 
+UNSHARED_BYTES = 150e6
+"""Remembered of what foreign plug-ins were handed, where no workbench sets its own bound."""
+TRACE = 20_000
+"""Characters of a traceback that are kept: an error's own words may fill a disk."""
 SIMILARITY_PICTURE = 181
 """Scans at most in the similarity matrix that a run keeps: the paper's Fig. 1(c)."""
 
@@ -58,7 +72,7 @@ class Parts:
     """A run's plug-ins, instantiated. A system is a method by itself. ``work`` is None where the
     plug-ins do all of it themselves."""
 
-    dataset: Dataset
+    dataset: SharedDataset
     method: Method | System
     metrics: tuple[Metric, ...]
     work: Work | None = None
@@ -98,10 +112,11 @@ def _recorded(
     """The run, and how it ended in its ``run.json``."""
     try:
         record["seconds"] = _execute(parts, settings, out, progress)
+        _refuse_changes(parts, settings)
         record["status"] = "done"
     except BaseException as error:
-        record["status"], record["reason"] = "failed", reason(error)
-        record["traceback"] = traceback.format_exc()
+        record["status"], record["reason"] = "failed", reason(error, settings)
+        record["traceback"] = trace_of(error)
         with contextlib.suppress(WriteError):  # on a full disk the first file says it all
             _finish(out, record)
         raise
@@ -120,7 +135,7 @@ def fail(settings: Settings, out: Path, error: BaseException) -> None:
     clear(out)
     write_config(out, settings)
     record = provenance.of_run(settings, None, None)
-    record.update(status="failed", reason=reason(error), finished=provenance.now())
+    record.update(status="failed", reason=reason(error, settings), finished=provenance.now())
     write_json(out / "run.json", record)
 
 
@@ -130,8 +145,10 @@ def instantiate(settings: Settings) -> Parts:
     Raises ``ConfigError`` where parts do not fit together, ``DataError`` for bad data.
     """
     config = settings.config
-    dataset = build(config["dataset"])
-    check_fit(settings, dataset)
+    plain = build(config["dataset"])
+    check_fit(settings, plain)
+    watch = Watch(UNSHARED_BYTES) if foreign_modules(config) else None
+    dataset = SharedDataset(plain, 0.0, watch)
     if is_system(config):
         return Parts(dataset, build(config["backend"]), build_metrics(config))
     method = Method(
@@ -139,7 +156,8 @@ def instantiate(settings: Settings) -> Parts:
         guess_along_degenerate=config["guess_along_degenerate"],
         judge_points=config["judge_points"],
     )
-    return Parts(dataset, method, build_metrics(config))
+    work = None if watch is None else WatchedWork(Work(method), watch)
+    return Parts(dataset, method, build_metrics(config), work)
 
 
 def build_metrics(config: dict[str, Any]) -> tuple[Metric, ...]:
@@ -213,12 +231,30 @@ def build(node: dict[str, Any]) -> Any:
         raise ConfigError(" ".join(lines)) from error
 
 
-def reason(error: BaseException) -> str:
-    """One line that says why a run failed."""
-    text = " ".join(str(error).split()) or type(error).__name__
-    if isinstance(error, RbtmBenchError):
-        return text
-    return f"{type(error).__name__}: {text}"
+def reason(error: BaseException, settings: Settings | None = None) -> str:
+    """One line that says why a run with these settings failed, and in which of its plug-ins, as far
+    as they are not ours: unless settings or data are at fault."""
+    text = one_line(error)
+    if not isinstance(error, RbtmBenchError):
+        text = f"{type(error).__name__}: {text}" if text else type(error).__name__
+    known = settings is None or isinstance(error, ConfigError | DataError)
+    names = "" if settings is None or known else foreign_plugins(settings.config, settings.choices)
+    return f"{names}: {text}" if names and names not in text else text or type(error).__name__
+
+
+def trace_of(error: BaseException) -> str:
+    """The traceback of an error, its last lines if it is very long."""
+    text = "".join(traceback.format_exception(error))
+    return text[-TRACE:]
+
+
+def _refuse_changes(parts: Parts, settings: Settings) -> None:
+    """Raise ``RunError`` if a plug-in has written into what it was handed to read."""
+    changed = parts.dataset.watch.changed() if parts.dataset.watch else []
+    if changed:
+        names = foreign_plugins(settings.config, settings.choices)
+        others = f" (and {len(changed) - 1} more)" if changed[1:] else ""
+        raise RunError(f"{names} changed {changed[0]}{others}")
 
 
 def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | None) -> float:
@@ -227,6 +263,7 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
     dataset = parts.dataset
     steps, poses = StepTable(), []
     truth: list[Array] = []
+    own = os.getpid()
 
     def stream() -> Iterator[Scan]:
         for scan in dataset:
@@ -236,24 +273,29 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
 
     if isinstance(parts.method, System):
         stepping = system_odometry(stream(), parts.method)
-    else:
-        stepping = odometry(stream(), parts.method, parts.work, BLOCK)
+    else:  # a stranger's plug-ins are looked after scan by scan
+        block = BLOCK if dataset.watch is None else 1
+        stepping = odometry(stream(), parts.method, parts.work, block)
     for step in stepping:
+        if os.getpid() != own:
+            os._exit(1)  # a twin that a plug-in has forked and not ended: there is one run
         steps.add(step.record)
         poses.append(step.T_world_scan)
+        if dataset.watch is not None:  # before the next scan's plug-ins see it
+            dataset.watch.hand(f"scan {step.record.scan}'s pose", step.T_world_scan)
         if progress:
             progress(len(steps), len(dataset))
     seconds, memory = time.perf_counter() - started, peak_memory_mb()
     stamps = np.array(steps["stamp"])
-    estimate = Trajectory(stamps, np.stack(poses))
-    reference = Trajectory(stamps, np.stack(truth)) if dataset.has_ground_truth else None
+    estimate = Trajectory(stamps, read_only(np.stack(poses)))
+    reference = Trajectory(stamps, read_only(np.stack(truth))) if dataset.has_ground_truth else None
     write_steps(out / "steps.parquet", steps)
     estimate.write_tum(out / "trajectory.tum")
     if reference is not None and reference.known.all():
         reference.write_tum(out / "ground_truth.tum")
     values: dict[str, Any] = summarise_steps(steps, memory)
     for metric in parts.metrics:
-        values.update(evaluated(metric, estimate, reference, dataset))
+        values |= evaluated(metric, estimate, reference, dataset, taken=values)
         if isinstance(metric, RelationError) and dataset.relations is not None:
             metric.errors(estimate, dataset.relations).write(out / RELATIONS)
     write_json(out / "metrics.json", values)

@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.errors import ConfigError, one_line
 from rbtm_bench.core.wording import shown, suggestion
 
 
@@ -27,9 +27,11 @@ def locate(name: str, target: str) -> Any:
         thing, rest = _import(modules)
         for part in (*rest, attribute):
             thing = getattr(thing, part)
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a module may leave by sys.exit
         known = isinstance(error, ImportError | AttributeError)
-        text = " ".join([*([] if known else [f"{type(error).__name__}:"]), *str(error).split()])
+        text = f"{'' if known else f'{type(error).__name__}: '}{one_line(error)}"
         raise ConfigError(f"{name}: cannot load {target}: {text}") from error
     if not callable(thing):
         raise ConfigError(f"{name}: cannot load {target}: not a class")
@@ -85,6 +87,19 @@ def foreign_modules(config: Any) -> frozenset[str]:
     own = str(config.get("_target_", "rbtm_bench")).partition(".")[0]
     parts = [foreign_modules(node) for node in config.values()]
     return frozenset({own} - {"rbtm_bench"}).union(*parts)
+
+
+def foreign_plugins(config: dict[str, Any], choices: dict[str, str]) -> str:
+    """The plug-ins of a config that are not ours, as chosen ("backend=my_icp"); "" if none."""
+    names = []
+    for key, node in config.items():
+        if not foreign_modules(node):
+            continue
+        if key in choices:
+            names.append(f"{key}={choices[key]}")
+        elif isinstance(node, dict):
+            names += [f"{key}.{name}" for name, part in node.items() if foreign_modules(part)]
+    return ", ".join(names)
 
 
 def is_system(config: Any) -> bool:

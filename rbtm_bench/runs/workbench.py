@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Array, RegistrationResult
-from rbtm_bench.odometry.method import Method
+from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.pairs.codec import context
 from rbtm_bench.pairs.shared import (
     Bounded,
@@ -23,6 +23,7 @@ from rbtm_bench.pairs.shared import (
     SharedWork,
 )
 from rbtm_bench.pairs.store import PairStore
+from rbtm_bench.pairs.watched import Watch, WatchedWork
 from rbtm_bench.runs import experiment
 from rbtm_bench.runs.identity import node_key
 from rbtm_bench.runs.plugins import foreign_modules, is_system
@@ -43,11 +44,18 @@ class Workbench:
         self.bytes = memory_mb * 1e6
         self._data_key = ""
         self._shared: dict[str, Any] = {}
+        self._watch: Watch | None = None
+        """Of the run's foreign plug-ins; None if all are ours."""
 
     def parts(self, settings: Settings) -> experiment.Parts:
         """The run's plug-ins and its work, shared where that changes nothing but the time."""
         config = settings.config
         dataset = self._dataset(config)
+        self._watch = dataset.watch
+        if self._watch is not None:
+            self._watch.begin()
+        if self.store is not None:
+            self.store.held = self._watch is not None
         experiment.check_fit(settings, dataset.plain)
         metrics = experiment.build_metrics(config)
         if is_system(config):  # it remembers, so nothing of it can be shared but the scans
@@ -72,7 +80,9 @@ class Workbench:
         if guess.pure:
             limit = self.bytes * SHARES["guesses"]
             guesses = self._once("guesses", guess_node, lambda: Bounded[Array](limit))
-        work = SharedWork(method, known, self._scores(config, method, dataset), guesses)
+        work: Work = SharedWork(method, known, self._scores(config, method, dataset), guesses)
+        if self._watch is not None:
+            work = WatchedWork(work, self._watch)
         return experiment.Parts(dataset, method, metrics, work)
 
     def flush(self) -> None:
@@ -81,7 +91,10 @@ class Workbench:
             self.store.flush()
 
     def forget(self) -> None:
-        """Start anew: after a failed run the plug-ins that it used may be in any state."""
+        """Start anew: after a failed run the plug-ins that it used may be in any state. What a
+        stranger's have computed in it is dropped, unwritten."""
+        if self._watch is not None and self.store is not None:
+            self.store.drop()
         self._shared.clear()
         self._data_key = ""
 
@@ -97,8 +110,9 @@ class Workbench:
         if data_key != self._data_key:
             self.forget()
             plain = experiment.build(config["dataset"])
-            limit, private = self.bytes * SHARES["scans"], bool(foreign_modules(config))
-            self._shared["dataset"] = SharedDataset(plain, limit, private)
+            limit = self.bytes * SHARES["scans"]
+            watch = Watch(limit) if foreign_modules(config) else None
+            self._shared["dataset"] = SharedDataset(plain, limit, watch)
             self._data_key = data_key
         dataset: SharedDataset = self._shared["dataset"]
         return dataset
@@ -107,7 +121,10 @@ class Workbench:
         backend: Backend = experiment.build(config["backend"])
         most = config["judge_points"]
         versions = versions_of(backend.requires)
-        common = context(dataset.fingerprint(), config["backend"], versions, most)
+        facts = dataset.fingerprint(), config["backend"], versions, most
+        # what else is at work in this process may have changed anything: its own pairs alone
+        beside = sorted(foreign_modules(config) - foreign_modules(config["backend"]))
+        common, own = context(*facts), context(*facts, *beside) if beside else None
         # several backends take turns on one data set: the bound is for all of them
         others = [one for one in self._shared.values() if isinstance(one, KnownRegistrations)]
         if others:
@@ -115,7 +132,7 @@ class Workbench:
         else:
             scans = Bounded[tuple[Prepared, float]](self.bytes * SHARES["prepared"])
             results = Bounded[RegistrationResult | BackendError](self.bytes * SHARES["results"])
-        return KnownRegistrations(backend, self.store, common, scans, results, most)
+        return KnownRegistrations(backend, self.store, common, scans, results, most, own)
 
     def _scores(
         self, config: dict[str, Any], method: Method, dataset: SharedDataset

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,7 +50,9 @@ class Window:
     @property
     def scans(self) -> NDArray[np.int64]:
         """Scan numbers (W,) of the members, oldest first."""
-        return self._scans[self._start : self._stop]
+        view = self._scans[self._start : self._stop]
+        view.flags.writeable = False  # strategies are handed it
+        return view
 
     @property
     def descriptors(self) -> NDArray[Any]:
@@ -84,6 +87,13 @@ class Window:
             del self._by_scan[self.nodes.pop(0).scan]
             self._start += 1
         self._write(node)
+
+    def copied(self) -> Window:
+        """A window of the same nodes, with descriptors of its own."""
+        other = copy.copy(self)
+        if self._descriptors is not None:
+            other._descriptors = self._descriptors.copy()
+        return other
 
     def _write(self, node: Node) -> None:
         if self._descriptors is None and node.descriptor is not None:

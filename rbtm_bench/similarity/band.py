@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from rbtm_bench.core.types import Array
-from rbtm_bench.similarity.base import Descriptor, Similarity
+from rbtm_bench.similarity.base import Descriptor, Similarity, checked_scores
 
 
 class Band:
@@ -49,14 +47,3 @@ class Band:
         ):
             return None
         return self._scores[row, gap - 1 : gap + count - 1][::-1]
-
-
-def checked_scores(similarity: Similarity, scores: Any, shape: tuple[int, ...]) -> Array:
-    """Scores as a similarity may give them: real numbers, finite or NaN. Raises ``ValueError``."""
-    name = type(similarity).__name__
-    if np.shape(scores) != shape or np.iscomplexobj(scores):
-        raise ValueError(f"{name}: scores of shape {np.shape(scores)}: expected real ones, {shape}")
-    checked = np.asarray(scores, dtype=np.float64)
-    if np.isinf(checked).any():
-        raise ValueError(f"{name}: a score is infinite: expected finite numbers, or NaN")
-    return checked

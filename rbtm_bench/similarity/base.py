@@ -71,7 +71,8 @@ class Similarity(ABC):
         band = np.full((len(descriptors) - first, window - 1), np.nan)
         for j in range(max(1, first), len(descriptors)):
             past = descriptors[max(0, j - window + 1) : j]
-            band[j - first, : len(past)] = self.scores(past, descriptors[j])[::-1]
+            scores = checked_scores(self, self.scores(past, descriptors[j]), (len(past),))
+            band[j - first, : len(past)] = scores[::-1]
         return band
 
 
@@ -102,8 +103,22 @@ class PairwiseSimilarity(Similarity):
             for gap in range(1, min(window, stop)):
                 j = max(start, gap)
                 past, now = descriptors[j - gap : stop - gap], descriptors[j:stop]
-                band[j - first : stop - first, gap - 1] = self.pair_scores(past, now)
+                scores = checked_scores(self, self.pair_scores(past, now), (len(past),))
+                band[j - first : stop - first, gap - 1] = scores
         return band
+
+
+def checked_scores(similarity: Similarity, scores: Any, shape: tuple[int, ...]) -> Array:
+    """Scores as a similarity may give them: real numbers, finite or NaN. Raises ``ValueError``."""
+    name = type(similarity).__name__
+    kind = np.asarray(scores).dtype
+    if np.shape(scores) != shape or kind.kind not in "fiu":
+        what = f"shape {np.shape(scores)}" if np.shape(scores) != shape else kind.name
+        raise ValueError(f"{name}: scores of {what}: expected real ones, {shape}")
+    checked = np.asarray(scores, dtype=np.float64)
+    if np.isinf(checked).any():
+        raise ValueError(f"{name}: a score is infinite: expected finite numbers, or NaN")
+    return checked
 
 
 def require_beams(dataset: Dataset, name: str) -> None:

@@ -76,10 +76,10 @@ def test_a_run_gives_its_record(supervisor: Supervisor, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("how", "reason"),
     [
-        ("raise", "ZeroDivisionError: division by zero"),
-        ("leave", "SystemExit: licence expired"),
-        ("segfault", "the process died: signal 11 (SIGSEGV)"),
-        ("exit", "the process died: exit code 3"),
+        ("raise", "backend=moody: ZeroDivisionError: division by zero"),
+        ("leave", "backend=moody: SystemExit: licence expired"),
+        ("segfault", "backend=moody: the process died: signal 11 (SIGSEGV)"),
+        ("exit", "backend=moody: the process died: exit code 3"),
     ],
 )
 def test_a_failure_is_a_row_and_the_next_run_goes_well(
@@ -108,7 +108,7 @@ def test_time_limit(supervisor: Supervisor, tmp_path: Path, how: str) -> None:
     began = time.monotonic()
     record = supervisor.run("slow", settings(how, "time_limit=1.5"), tmp_path / "slow")
     assert 1.4 < time.monotonic() - began < 10.0
-    assert (record["status"], record["reason"]) == ("failed", "time limit of 1.5 s")
+    assert (record["status"], record["reason"]) == ("failed", "backend=moody: time limit of 1.5 s")
     assert record_of(tmp_path / "slow")["reason"] == record["reason"]
     assert first is not None and not alive(first)
     assert not sleeping("617"), "what the backend had started is still there"

@@ -167,7 +167,8 @@ def test_a_failed_run_is_a_row_and_the_others_finish(
     assert "RuntimeError: out of luck" in captured.out
     assert "0 of 1 done" in captured.out
     table = pd.read_csv(out / "table.csv").set_index("run")
-    assert table.loc["deadly-previous-how=raise", "reason"] == "RuntimeError: out of luck"
+    reason = table.loc["deadly-previous-how=raise", "reason"]
+    assert reason == "backend=deadly: RuntimeError: out of luck"
     assert pd.isna(table.loc["deadly-previous-how=raise", "ape_rmse_m"])  # empty, not 0
     assert table.loc["deadly-previous-how=none", "ape_rmse_m"] > 0
 
@@ -192,7 +193,7 @@ def test_a_killed_worker_is_a_row_and_the_others_finish(
         assert status == ("failed" if "how=die" in name else "done"), name
     record = record_of(out / "deadly-previous-how=die")
     assert record["status"] == "failed"
-    assert record["reason"].startswith("the process died: signal 9 (SIGKILL")
+    assert record["reason"].startswith("backend=deadly: the process died: signal 9 (SIGKILL")
     assert "3 of 6 runs failed" in capsys.readouterr().err
 
 

@@ -13,7 +13,7 @@ import pytest
 from moody_backend import GOBBLE
 from sweep_helpers import MOODY, SMALL, call, record_of, rows
 
-from rbtm_bench.engine.crew import resident_mb, tree
+from rbtm_bench.engine.traces import descendants, resident_mb
 from rbtm_bench.runs.settings import compose_settings
 
 HOLDS = "import sys, time; x = b'x' * 100_000_000; print(flush=True); time.sleep(600)"
@@ -40,7 +40,7 @@ def test_memory_is_that_of_a_process_and_its_descendants() -> None:
     ) as process:
         assert process.stdout is not None
         process.stdout.readline()
-        everyone = tree(os.getpid())
+        everyone = [os.getpid(), *descendants(os.getpid())]
         assert process.pid in everyone and len(everyone) >= 3
         assert 100 < resident_mb(process.pid) < 200
         assert resident_mb(os.getpid()) > before + 100

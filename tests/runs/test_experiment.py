@@ -286,12 +286,12 @@ def test_a_backend_that_raises_midway(
     error = capsys.readouterr().err
     assert error == "rbtm-bench: RuntimeError: out of luck (--debug shows where)\n"
     record = failed(out)
-    assert record["reason"] == "RuntimeError: out of luck"
+    assert record["reason"] == "backend=fails: RuntimeError: out of luck"
     assert "Traceback" in record["traceback"] and record["scans"] == 12
     assert run(out, "backend=fails", "--config-dir", str(extra)) == 2  # refused, not overwritten
     words = ("backend=fails", "backend.how=silent", "overwrite=true", "--config-dir", str(extra))
     assert run(out, *words) == 1
-    assert failed(out)["reason"] == "RuntimeError: RuntimeError"
+    assert failed(out)["reason"] == "backend=fails: RuntimeError"
 
 
 def test_an_interrupted_run(tmp_path: Path, extra: Path) -> None:

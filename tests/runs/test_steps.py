@@ -73,7 +73,8 @@ def test_half_a_count_is_refused(tmp_path: Path) -> None:
 
 def test_pandas_stays_away(tmp_path: Path) -> None:
     code = (
-        "import sys; from pathlib import Path; from rbtm_bench.core.types import StepRecord, StepTable; "
+        "import sys; from pathlib import Path; "
+        "from rbtm_bench.core.types import StepRecord, StepTable; "
         "from rbtm_bench.runs.steps import write_steps; "
         f"write_steps(Path({str(tmp_path / 'steps.parquet')!r}), StepTable([StepRecord(0, 0.0)])); "
         "sys.exit('pandas' in sys.modules)"
