@@ -13,14 +13,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt
 
 from rbtm_bench.backends.neighbours_2d import Sorted2D, sorted_2d
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import is_rigid, symmetric, to_plane, transform, voxel_downsample
+from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.types import Array, Scan
 
 MIN_POINTS = 6
@@ -112,8 +112,8 @@ class Backend(ABC):
 
     def __init__(
         self,
-        max_correspondence_distance: Annotated[float, Gt(0)] = 0.3,
-        voxel_size: Annotated[float, Ge(0)] = 0.0,
+        max_correspondence_distance: Distance = 0.3,
+        voxel_size: VoxelSize = 0.0,
     ) -> None:
         self.max_correspondence_distance = max_correspondence_distance
         self.voxel_size = voxel_size

@@ -18,7 +18,7 @@ import numpy as np
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
-from rbtm_bench.datasets.base import Dataset, Relations
+from rbtm_bench.datasets.base import ATTRIBUTES, Dataset, Relations
 from rbtm_bench.odometry import judge
 from rbtm_bench.odometry.method import Method, Work, checked_scores
 from rbtm_bench.pairs.codec import pair_key
@@ -68,7 +68,7 @@ class SharedDataset(Dataset):
     def __init__(self, dataset: Dataset, limit: float, private: bool = False) -> None:
         self.plain, self.private = dataset, private
         self._scans: Bounded[Scan] = Bounded(limit)
-        for name in ("planar", "has_beams", "has_odometry", "has_ground_truth", "skipped"):
+        for name in ATTRIBUTES:
             setattr(self, name, getattr(dataset, name))
 
     def __len__(self) -> int:

@@ -22,7 +22,7 @@ from rbtm_bench.metrics.relation_errors import FILE, RelationErrors
 from rbtm_bench.report import frame, intervals
 from rbtm_bench.report.frame import MethodRuns
 from rbtm_bench.report.intervals import Interval, Labels, Statistic
-from rbtm_bench.runs.identity import node_key
+from rbtm_bench.report.replicates import counted, data_set, value_of
 from rbtm_bench.runs.stored import Run
 
 DATA_SETS, CLUSTERS = "data sets", "clusters"
@@ -49,14 +49,15 @@ class Units:
 
     def __init__(self, method: MethodRuns) -> None:
         self.row = method.row
-        self._done = [run for run in method.runs if run.done]
+        self._done = [run for run in counted(method.runs) if run.done]
 
     def by_data_set(self, key: str) -> dict[str, float]:
         """The metric by data set; of several runs on the same data their median."""
         values: dict[str, list[float]] = {}
         for run in self._done:
-            if is_number(run.metrics.get(key)):
-                values.setdefault(data_set(run), []).append(float(run.metrics[key]))
+            value = value_of(run, key)
+            if value is not None:
+                values.setdefault(data_set(run), []).append(value)
         return {name: float(np.median(numbers)) for name, numbers in values.items()}
 
     @cached_property
@@ -152,17 +153,6 @@ def shared(methods: Sequence[Units], key: str) -> list[str]:
     for name in common:
         first.setdefault(tuple(method.signatures[name] for method in methods), name)
     return list(first.values())
-
-
-def is_number(value: Any) -> bool:
-    """True for a metric that exists."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def data_set(run: Run) -> str:
-    """What makes its data another data set: their fingerprint, or else its settings."""
-    fingerprint = run.record.get("dataset_fingerprint")
-    return str(fingerprint or node_key(run.identity.dataset, run.identity.seed))
 
 
 def methods_to_compare(runs: Sequence[Run], pool: bool) -> list[MethodRuns]:

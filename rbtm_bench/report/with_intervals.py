@@ -12,8 +12,8 @@ from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.report import best_settings, intervals, render
 from rbtm_bench.report.frame import METHOD, MethodRuns
 from rbtm_bench.report.intervals import Statistic
-from rbtm_bench.report.units import Units, grouped, is_number, methods_to_compare, shared
-from rbtm_bench.runs.stored import Run
+from rbtm_bench.report.units import Units, grouped, methods_to_compare, shared
+from rbtm_bench.runs.stored import Run, is_number
 
 if TYPE_CHECKING:
     import pandas as pd
