@@ -177,7 +177,10 @@ def test_text_says_what_the_numbers_are(runs: Path, capsys: Any) -> None:
     out, err = shown(capsys, str(runs), "--intervals")
     assert "3.5 [1.5, 5.5] (6)" in out and "35 [15, 55] (6)" in out and err == ""
     assert "the same in every row: data corridor" in out
-    assert "median over data sets (seeds), on one log over its replicates" in out and "rank: mean" in out
+    assert (
+        "median over data sets (seeds), on one log over its replicates" in out
+        and "rank: mean" in out
+    )
     out, _ = shown(capsys, str(runs), "--intervals", "--mean", "--columns", f"selector,{MM}")
     assert "mean over data sets" in out and "backend" not in out.split("\n")[0]
 
