@@ -85,6 +85,7 @@ def against(
     starts = ("p", "difference", "error", "reference_error", "ratio", "margin")
     numbers = [c for c in columns if c.startswith(starts)]
     kinds = dict.fromkeys(numbers, "float64") | {"difference_n": "int64"}
+    kinds |= {name: "int64" for name in ratios if name.endswith("_n")}
     return pd.DataFrame(rows)[columns].astype(kinds)
 
 

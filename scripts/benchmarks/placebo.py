@@ -8,6 +8,7 @@ Placebo: seven settings that nobody would tell apart (keyframe spacing .44 to .5
 different. A/A: one setting against itself on disjoint draws of its replicates; at most 7 % of 200
 pairs. Power: a twin whose registered translations are shrunk until its error is 1.5, 2, 3, 4 times
 as large; 80 % at 4 times. Runs are kept in --out and done once; the tables are made from them.
+--moved moves the settings of the replicates as compare does: what a user's table calls different.
 """
 
 from __future__ import annotations
@@ -16,18 +17,15 @@ import argparse
 import itertools
 import os
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
-from scipy.optimize import brentq
+from placebo_twin import shrink_for, twin_error
 from tabulate import tabulate
 
-from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array
-from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.datasets.perturbed import Since
 from rbtm_bench.engine import sweep_folder
 from rbtm_bench.report import better, frame, margin
 from rbtm_bench.report.best_settings import main_error
@@ -36,7 +34,6 @@ from rbtm_bench.report.margin import Margin
 from rbtm_bench.report.replicates import number_of, spread, value_of
 from rbtm_bench.report.units import Units
 from rbtm_bench.runs import experiment, stored
-from rbtm_bench.runs.evaluation import evaluate
 from rbtm_bench.runs.grid import make_points
 from rbtm_bench.runs.stored import Run
 from rbtm_bench.runs.workbench import Workbench
@@ -48,7 +45,8 @@ FACTORS = (1.5, 2.0, 3.0, 4.0)
 SIMULATED = 200
 MORE = (12, 16, 20, 30, 40, 60)
 """Replicates tried where those there are do not find an error of 4 times."""
-GRID = ["perturbation.distances=0", "perturbation.thresholds=0", "pictures=false"]
+STILL = ["perturbation.distances=0", "perturbation.thresholds=0"]
+"""Replicates of the data alone, the settings to the last digit."""
 
 Cell = tuple[str, str, str]
 """Log, backend, selector."""
@@ -86,13 +84,15 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--replicates", type=int, default=10)
     parser.add_argument("--extra", type=int, default=10, help="more of the first setting, for A/A")
     parser.add_argument("--scans", type=int, default=None, help="the first so many scans")
+    parser.add_argument("--moved", action="store_true", help="move the settings as well")
     parser.add_argument("--out", default="results/placebo")
     return parser.parse_args()
 
 
 def make_runs(log: str, options: argparse.Namespace, out: Path) -> None:
     """All runs of a log that are not there yet, a copy of the data at a time."""
-    words = [f"backend={','.join(options.backends)}", *GRID]
+    words = [f"backend={','.join(options.backends)}", "pictures=false"]
+    words += [] if options.moved else STILL
     if log == "corridor":
         words += [f"dataset.scans={options.scans or 61}"]
     else:
@@ -118,9 +118,7 @@ def make_runs(log: str, options: argparse.Namespace, out: Path) -> None:
     for name, settings in points.items():
         if not sweep_folder.is_finished(out / name, settings):
             config = {**settings.config, "overwrite": True}
-            experiment.run(
-                type(settings)(**{**vars(settings), "config": config}), out / name, None, bench
-            )
+            experiment.run(replace(settings, config=config), out / name, bench=bench)
 
 
 def main_key(cells: dict[Cell, list[MethodRuns]]) -> str:
@@ -281,7 +279,9 @@ def power(
             shrunk = shrink_for(factor, error_of, values)
             twin = np.array([error(shrunk) for error in error_of])
             paired, apart = (found(twin, values, n, other) for other in (False, True))
-            row[f"{factor:g}x"] = f"{paired:.0%} / {apart:.0%}"
+            reached = float(np.median(twin) / np.median(values))
+            wide = "" if abs(reached / factor - 1) < 0.05 else f" (at {reached:.2g})"
+            row[f"{factor:g}x"] = f"{paired:.0%} / {apart:.0%}{wide}"
             if factor == FACTORS[-1]:
                 row["N for 80%"] = enough(twin, values, n, min(paired, apart))
         rows.append(row)
@@ -310,64 +310,6 @@ def enough(twin: Array, values: Array, n: int, reached: float) -> str:
         if more > n and found(twin, values, more, True, again=True) >= 0.8:
             return str(more)
     return f"> {MORE[-1]}"
-
-
-def shrink_for(factor: float, error_of: Sequence[Callable[[float], float]], values: Array) -> float:
-    """The shrinking at which the median error is so many times as large."""
-    aim = factor * float(np.median(values))
-
-    def off(shrunk: float) -> float:
-        return float(np.median([error(shrunk) for error in error_of])) - aim
-
-    high = 0.01
-    while off(high) < 0 and high < 1.0:
-        high *= 1.5
-    return float(brentq(off, 0.0, min(high, 1.0), xtol=1e-5)) if off(min(high, 1.0)) > 0 else 1.0
-
-
-def twin_error(run: Run, key: str) -> Callable[[float], float]:
-    """The error of the run's twin by the share that its registered translations are shrunk.
-
-    Rotations stay, so a pose moves by that share of the registered motions on its chain.
-    """
-    draw = run.record["replicate"]
-    first = draw["scored_from_scan"] - draw["first_scan"]
-    steps = pd.read_parquet(run.path / "steps.parquet")
-    estimate = Trajectory.read_tum(run.path / "trajectory.tum")
-    position = estimate.T_world_scan[:, :3, 3]
-    registered = steps["status"].isin(["registered", "fallback"]).to_numpy()
-    before = np.arange(len(steps)) - 1
-    model = np.where(registered, steps["model"].fillna(-1).to_numpy(), before).astype(int)
-    moved = np.zeros_like(position)
-    for scan in range(1, len(steps)):
-        own = position[scan] - position[model[scan]] if registered[scan] else 0.0
-        moved[scan] = moved[model[scan]] + own
-    dataset, truth = scored(run, draw["scored_from_scan"])
-    metrics = [m for m in experiment.build_metrics(run.config) if key in m.columns]
-
-    def error(shrunk: float) -> float:
-        T = estimate.T_world_scan.copy()
-        T[:, :3, 3] = position - shrunk * moved
-        twin = Trajectory(estimate.stamps, T).since(first)
-        return float(evaluate(metrics, twin, truth, dataset, 0)[0][key])
-
-    return error
-
-
-_opened: dict[str, Dataset] = {}
-
-
-def scored(run: Run, first: int) -> tuple[Dataset, Trajectory | None]:
-    """The part of the data that is evaluated, as it is, with its truth."""
-    name = repr(run.config["dataset"])
-    if name not in _opened:
-        _opened[name] = experiment.build(run.config["dataset"])
-    dataset = Since(_opened[name], first)
-    if not dataset.has_ground_truth:
-        return dataset, None
-    scans = list(dataset)
-    poses = np.array([scan.ground_truth for scan in scans])
-    return dataset, Trajectory(np.array([scan.stamp for scan in scans]), poses)
 
 
 def backends(cells: dict[Cell, list[MethodRuns]], key: str) -> list[dict[str, object]]:
