@@ -134,7 +134,7 @@ class Comparison:
     @property
     def holds(self) -> str:
         """ "better", "worse", or "" where that cannot be said."""
-        if self.equal or self.ours == self.theirs or self.shortfalls:
+        if self.equal or self.p_holm is None or self.p_holm >= SIGNIFICANT or self.shortfalls:
             return ""
         return "better" if self.less else "worse"
 
