@@ -33,7 +33,7 @@ class Margin:
 
 
 DEFAULT = Margin(2.0, "default, of scripts/benchmarks/placebo.py; this log's own is not measured")
-"""A choice, not a quantile: six cells of MIT CSAIL and ACES reach 1.13 to 4.33, all 126 pairs of them
+"""A choice, not a quantile: six cells of MIT CSAIL and ACES reach 1.13 to 4.33, all their 126 pairs
 3.03. Beyond 2 a placebo is called different in one of the six, and 4 times the error is still found
 with 10 replicates; at 3 the latter fails (docs/statistics.md)."""
 
