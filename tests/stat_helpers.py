@@ -29,9 +29,11 @@ def make_run(
     dataset: str = "corridor",
     data: dict[str, Any] | None = None,
     fingerprint: str | None = None,
+    told: dict[str, Any] | None = None,
     **settings: Any,
 ) -> Path:
-    """A run's files; without metrics it failed. ``settings`` are the selector's."""
+    """A run's files; without metrics it failed. ``settings`` are the selector's, ``told`` what
+    else run.json says."""
     path.mkdir(parents=True)
     config = {"seed": seed, "out": str(path), "dataset": {"seed": seed, **(data or {})}}
     config |= {"backend": {"radius": 0.3}, "selector": settings}
@@ -39,7 +41,7 @@ def make_run(
     status = "failed" if metrics is None else "done"
     choices = {"dataset": dataset, "backend": backend, "selector": selector}
     record = {"status": status, "choices": choices, "seed": seed, "scans": 11}
-    write_json(path / "run.json", {**record, "dataset_fingerprint": fingerprint})
+    write_json(path / "run.json", {**record, "dataset_fingerprint": fingerprint, **(told or {})})
     if metrics is not None:
         write_json(path / "metrics.json", metrics)
     return path
@@ -56,6 +58,32 @@ def make_seeds(
         if error is not None:
             metrics = {MM: float(error), "mean_gap": 1.0 + error, "localizability": 0.1 * seed}
         make_run(where, selector, metrics, seed=seed, fingerprint=f"{data} {seed}", **more)
+
+
+def make_replicates(
+    folder: Path,
+    selector: str,
+    errors: Sequence[float | None],
+    *,
+    name: str = "",
+    prefix: str = "",
+    same: Sequence[int] = (),
+    unperturbed: float | None = None,
+    **settings: Any,
+) -> None:
+    """A run on a log for every replicate 1, 2, ... with this final position error (None: it
+    failed), and one on the log as it is. Those numbered in ``same`` have equal trajectories;
+    ``prefix`` instead of the name makes trajectories those of another method."""
+    name = name or selector
+    numbered = [(0, unperturbed)] if unperturbed is not None else []
+    for number, error in [*numbered, *enumerate(errors, start=1)]:
+        of = {"number": number, "seed": 0, "of": "log"} if number else None
+        path = "the same" if number in same else f"{number}"
+        told = {"replicate": of, "trajectory_sha256": f"{prefix or name} {path}"}
+        metrics = None if error is None else {MM: float(error)}
+        where = folder / f"{name}-{number}"
+        copy = f"log {number}" if number else "log"
+        make_run(where, selector, metrics, fingerprint=copy, told=told, **settings)
 
 
 def make_log(path: Path, selector: str, long: Sequence[float], **more: Any) -> Path:

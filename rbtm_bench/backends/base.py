@@ -15,15 +15,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt
 
 from rbtm_bench.backends.plane_index import PlaneIndex, plane_index
 from rbtm_bench.backends.space_index import SpaceIndex, space_index
 from rbtm_bench.core.errors import BackendError, one_line
 from rbtm_bench.core.geometry import to_plane, transform, voxel_downsample
+from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.rigid import all_finite, rigidity, symmetric_information
 from rbtm_bench.core.types import Array, Scan
 
@@ -121,8 +121,8 @@ class Backend(ABC):
 
     def __init__(
         self,
-        max_correspondence_distance: Annotated[float, Gt(0)] = 0.3,
-        voxel_size: Annotated[float, Ge(0)] = 0.0,
+        max_correspondence_distance: Distance = 0.3,
+        voxel_size: VoxelSize = 0.0,
     ) -> None:
         self.max_correspondence_distance = max_correspondence_distance
         self.voxel_size = voxel_size

@@ -25,6 +25,7 @@ from rbtm_bench.backends.hough_search import (
 from rbtm_bench.backends.neighbours_2d import sorted_2d
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import se2, yaw
+from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
@@ -92,8 +93,8 @@ class HoughScanMatching(Backend):
 
     def __init__(
         self,
-        max_correspondence_distance: Positive = 0.3,
-        voxel_size: Annotated[float, Ge(0)] = 0.0,
+        max_correspondence_distance: Distance = 0.3,
+        voxel_size: VoxelSize = 0.0,
         linear_cell_size: Positive = 0.03,
         angular_cell_size_deg: Annotated[float, Gt(0), Le(10)] = 1.0,
         num_angular_hypotheses: Annotated[int, Ge(1)] = 8,
@@ -103,7 +104,7 @@ class HoughScanMatching(Backend):
         linear_xc_peaks_min_distance: Annotated[float, Ge(0)] = 0.15,
         max_norm: Positive | None = None,
         votes: Literal["surface", "points"] = "surface",
-        normal_radius: Positive = 0.3,
+        normal_radius: Distance = 0.3,
         max_rotation_deg: Positive | None = None,
         max_translation: Positive | None = None,
         likelihood_radius: Positive = 0.1,

@@ -9,6 +9,7 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
+from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
@@ -41,10 +42,10 @@ class KissICP(Backend):
 
     def __init__(
         self,
-        max_correspondence_distance: Positive = 0.3,
-        voxel_size: Annotated[float, Ge(0)] = 0.0,
+        max_correspondence_distance: Distance = 0.3,
+        voxel_size: VoxelSize = 0.0,
         kernel: Positive | None = None,
-        map_voxel_size: Positive | None = None,
+        map_voxel_size: Distance | None = None,
         max_points_per_voxel: Annotated[int, Ge(1)] = 100,
         max_iterations: Annotated[int, Ge(1)] = 500,
         convergence_criterion: Positive = 1e-4,

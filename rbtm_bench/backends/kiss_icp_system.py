@@ -11,6 +11,7 @@ from rbtm_bench.backends.base import MIN_POINTS
 from rbtm_bench.backends.system import System, Tracker
 from rbtm_bench.core.errors import BackendError, ConfigError
 from rbtm_bench.core.geometry import inverse, to_plane, transform
+from rbtm_bench.core.kinds import Distance
 from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
@@ -51,7 +52,7 @@ class KissICPSystem(System):
         self,
         max_range: Positive | None = None,
         min_range: Annotated[float, Ge(0)] = 0.0,
-        voxel_size: Positive | None = None,
+        voxel_size: Distance | None = None,
         max_points_per_voxel: Annotated[int, Ge(1)] = 20,
         initial_threshold: Positive | None = None,
         min_motion_th: Positive | None = None,

@@ -14,6 +14,7 @@ from rbtm_bench.backends.ndt_2d_cells import Cells, cells_of, half_cell, place
 from rbtm_bench.core.errors import BackendError, ConfigError
 from rbtm_bench.core.geometry import se2, symmetric, yaw
 from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
@@ -69,8 +70,8 @@ class NDT2D(Backend):
 
     def __init__(
         self,
-        max_correspondence_distance: Positive = 0.3,
-        voxel_size: Annotated[float, Ge(0)] = 0.0,
+        max_correspondence_distance: Distance = 0.3,
+        voxel_size: VoxelSize = 0.0,
         cell_sizes: Sequence[Positive] = (1.0,),
         min_points: Annotated[int, Ge(2)] = 3,
         eigenvalue_ratio: Annotated[float, Gt(0), Le(1)] = 1e-3,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.open3d_library import open3d
 from rbtm_bench.core.types import Array
 
@@ -40,8 +41,8 @@ class Open3DICP(Backend):
     library = "Open3D (MIT)"
     repeats = "same bits on one core only (`pin=true`)"
 
-    max_correspondence_distance: Positive = 0.3
-    voxel_size: Annotated[float, Ge(0)] = 0.0
+    max_correspondence_distance: Distance = 0.3
+    voxel_size: VoxelSize = 0.0
     max_iterations: Annotated[int, Ge(1)] = 50
     relative_fitness: Positive = 1e-6
     relative_rmse: Positive = 1e-6

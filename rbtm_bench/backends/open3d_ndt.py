@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Lt
 
 from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.backends.open3d_icp import cloud
+from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.open3d_library import open3d
 from rbtm_bench.core.types import Array
 
@@ -50,9 +51,9 @@ class Open3DNDT(Backend):
 
     def __init__(
         self,
-        max_correspondence_distance: Positive = 0.3,
-        voxel_size: Annotated[float, Ge(0)] = 0.0,
-        cell_size: Positive = 1.0,
+        max_correspondence_distance: Distance = 0.3,
+        voxel_size: VoxelSize = 0.0,
+        cell_size: Distance = 1.0,
         min_points: Annotated[int, Ge(4)] = 6,
         eigenvalue_ratio: Annotated[float, Gt(0), Lt(1)] = 1e-3,
         outlier_threshold: Positive = 9.0,

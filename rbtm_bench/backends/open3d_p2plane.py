@@ -6,8 +6,9 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Ge
 
-from rbtm_bench.backends.open3d_icp import Open3DICP, Positive, _registration, cloud
+from rbtm_bench.backends.open3d_icp import Open3DICP, _registration, cloud
 from rbtm_bench.backends.planar import normals_2d
+from rbtm_bench.core.kinds import Distance
 from rbtm_bench.core.open3d_library import open3d
 from rbtm_bench.core.types import Array
 
@@ -20,7 +21,7 @@ class Open3DPointToPlane(Open3DICP):
     distance), at most ``normal_neighbours``; in the plane for planar scans.
     """
 
-    normal_radius: Positive | None = None
+    normal_radius: Distance | None = None
     normal_neighbours: Annotated[int, Ge(5)] = 30
 
     def __post_init__(self) -> None:

@@ -15,6 +15,7 @@ from rbtm_bench.backends.plicp_step import Matches, step_to_lines, step_to_point
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import se2, symmetric
 from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
@@ -72,8 +73,8 @@ class PointToLineICP(Backend):
 
     def __init__(
         self,
-        max_correspondence_distance: Positive = 0.3,
-        voxel_size: Annotated[float, Ge(0)] = 0.0,
+        max_correspondence_distance: Distance = 0.3,
+        voxel_size: VoxelSize = 0.0,
         metric: Literal["point_to_line", "point_to_point"] = "point_to_line",
         max_iterations: Annotated[int, Ge(1)] = 50,
         epsilon_xy: Positive = 1e-4,

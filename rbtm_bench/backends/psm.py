@@ -12,6 +12,7 @@ from rbtm_bench.backends.polar_scan import Bins, PolarScan, bins_of, polar_scan,
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import se2, yaw
 from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
@@ -98,8 +99,8 @@ class PolarScanMatching(Backend):
 
     def __init__(
         self,
-        max_correspondence_distance: Positive = 0.3,
-        voxel_size: Annotated[float, Ge(0)] = 0.0,
+        max_correspondence_distance: Distance = 0.3,
+        voxel_size: VoxelSize = 0.0,
         max_orientation_shift: Annotated[float, Gt(0), Le(180)] = 20.0,
         weighting_factor: Positive = 0.49,
         change_weight_iteration: Annotated[int, Ge(0)] = 10,

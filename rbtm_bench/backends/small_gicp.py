@@ -12,6 +12,7 @@ from rbtm_bench.backends.base import Alignment, Backend, Prepared
 from rbtm_bench.backends.planar import lifted
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.geometry import se3, symmetric, to_plane
+from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
@@ -71,10 +72,10 @@ class SmallGICP(Backend):
     def __init__(
         self,
         method: Literal["ICP", "PLANE_ICP", "GICP", "VGICP"] = "GICP",
-        max_correspondence_distance: Positive = 0.3,
-        voxel_size: Annotated[float, Ge(0)] = 0.0,
+        max_correspondence_distance: Distance = 0.3,
+        voxel_size: VoxelSize = 0.0,
         neighbours: Annotated[int, Ge(6)] = 10,
-        cell_size: Positive | None = None,
+        cell_size: Distance | None = None,
         max_iterations: Annotated[int, Ge(1)] = 50,
         rotation_epsilon: Positive = 1e-4,
         translation_epsilon: Positive = 1e-4,

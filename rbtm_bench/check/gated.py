@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Gt
 
 from rbtm_bench.check.base import Check
 from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
+from rbtm_bench.core.kinds import Distance, ShareThreshold
 from rbtm_bench.core.types import Array, RegistrationResult
 
 
@@ -19,8 +20,8 @@ class Gated(Check):
 
     def __init__(
         self,
-        min_fitness: Annotated[float, Ge(0), Le(1)] = 0.3,
-        max_translation: Annotated[float, Gt(0)] = 0.5,
+        min_fitness: ShareThreshold = 0.3,
+        max_translation: Distance = 0.5,
         max_rotation_deg: Annotated[float, Gt(0)] = 30.0,
     ) -> None:
         self.min_fitness = min_fitness

@@ -35,10 +35,12 @@ every chosen member that has it, and points that coincide are merged.
 examples
   rbtm-bench compare backend=none,open3d_p2p selector=previous,keyframe,rbtm selector.window=10
   rbtm-bench compare selector=rbtm,random_gap selector.threshold=0.6,0.8 seed=0,1,2,3,4
+  rbtm-bench compare backend=open3d_p2p,plicp selector=previous,rbtm replicates=10
 
 selector=random_gap draws its gaps from the comparison's own rbtm run.
 The folder (out=DIR) holds a run folder for every point, table.csv (a row a run) and summary.csv
-(a row a method, medians over seeds).
+(a row a method, medians over seeds). replicates=N runs every point on N perturbed copies of the
+data as well: what "better" takes on a log (docs/statistics.md).
 
 A run that raises, kills its process, takes longer than time_limit=SECONDS or more memory than
 memory_limit=MB (default null: no limit) is a row marked failed, with its reason; the others go on,

@@ -13,7 +13,7 @@ from __future__ import annotations
 from enum import Enum
 from typing import Annotated
 
-from annotated_types import Ge
+from annotated_types import Ge, Gt, Le
 
 
 class Kind(Enum):
@@ -30,3 +30,16 @@ class Kind(Enum):
 
 Seed = Annotated[int, Ge(0), Kind.SEED]
 OtherRun = Annotated[str | None, Kind.OTHER_RUN]
+
+
+class Nuisance(Enum):
+    """Settings whose exact value nobody means: replicates of a method move them a little."""
+
+    DISTANCE = "m, times a factor near 1"
+    THRESHOLD = "of a score or a share, plus a little"
+
+
+Distance = Annotated[float, Gt(0), Nuisance.DISTANCE]
+VoxelSize = Annotated[float, Ge(0), Nuisance.DISTANCE]
+Threshold = Annotated[float, Ge(-1), Le(1), Nuisance.THRESHOLD]
+ShareThreshold = Annotated[float, Ge(0), Le(1), Nuisance.THRESHOLD]

@@ -68,6 +68,10 @@ class Trajectory:
         """Which poses are known (N,): those without NaN or infinity."""
         return np.asarray(np.isfinite(self.T_world_scan).all(axis=(1, 2)))
 
+    def since(self, first: int) -> Trajectory:
+        """The poses from the one with this number on."""
+        return Trajectory(self.stamps[first:], self.T_world_scan[first:])
+
     def write_tum(self, path: str | os.PathLike[str]) -> None:
         """Write a TUM file through evo, complete or not at all.
 

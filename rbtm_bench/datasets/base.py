@@ -5,8 +5,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rbtm_bench.core.types import Array, Scan
 
@@ -41,6 +43,10 @@ class Dataset(ABC):
     has_ground_truth: bool = False
     skipped: int = 0
     """Records that were malformed and left out (``on_error=skip``)."""
+    scored_from: int = 0
+    """The first scan that is evaluated: replicates begin at different scans of one drive."""
+    draw: dict[str, Any] | None = None
+    """What a perturbed copy of a data set has been given (``perturbed``), for ``run.json``."""
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -62,8 +68,40 @@ class Dataset(ABC):
         return None
 
 
+ATTRIBUTES = (
+    "planar",
+    "has_beams",
+    "has_odometry",
+    "has_ground_truth",
+    "skipped",
+    "scored_from",
+    "draw",
+)
+"""What a data set that wraps another takes over from it."""
+
+
 def beam_points(ranges: Array, angles: Array) -> Array:
     """Points (N, 3) in z = 0 of the beams (B,) with a finite range (m) at angles (rad)."""
     hit = np.isfinite(ranges)
     r, a = ranges[hit], angles[hit]
     return np.column_stack([r * np.cos(a), r * np.sin(a), np.zeros(len(r))])
+
+
+def nearest(stamps: Array, times: Array, tolerance_s: float) -> NDArray[np.intp]:
+    """Index (R,) of the stamp (N,) nearest to each time (R,), -1 if none is within tolerance.
+
+    ``stamps`` (s) in any order; of several equally near the earlier, then the first, is taken.
+    """
+    missing = np.full(len(times), -1, dtype=np.intp)
+    if len(stamps) == 0:
+        return missing
+    order = np.argsort(stamps, kind="stable")
+    ordered = stamps[order]
+    after = np.searchsorted(ordered, times).clip(max=len(stamps) - 1)
+    before = (after - 1).clip(min=0)
+    # Equal stamps sort as they came: step to the first of those before.
+    before = np.searchsorted(ordered, ordered[before])
+    best = np.where(
+        np.abs(ordered[before] - times) <= np.abs(ordered[after] - times), before, after
+    )
+    return np.where(np.abs(ordered[best] - times) <= tolerance_s, order[best], missing)

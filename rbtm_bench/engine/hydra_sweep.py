@@ -67,7 +67,9 @@ class SweepPlan(Grid):
             if word.partition("=")[0] in ("hydra.sweep.dir", "hydra.sweep.subdir"):
                 raise ConfigError(f"{word}: out=DIR names a sweep's folder; its runs are numbered")
         hydra_words = [word for word in overrides if word.startswith("hydra")]
-        task, notes = one_way_to_run([word for word in overrides if word not in hydra_words])
+        task, notes = one_way_to_run(
+            [word for word in overrides if word not in hydra_words], extra_dirs
+        )
         _require_launcher(hydra_words)
         with composing(extra_dirs) as extra:
             experiment = [word for word in task if word.startswith("+experiment=")]

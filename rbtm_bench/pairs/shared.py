@@ -11,6 +11,7 @@ import time
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -18,7 +19,7 @@ import numpy as np
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
-from rbtm_bench.datasets.base import Dataset, Relations
+from rbtm_bench.datasets.base import ATTRIBUTES, Dataset, Relations
 from rbtm_bench.odometry import checked, judge
 from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.pairs.codec import pair_key
@@ -71,7 +72,7 @@ class SharedDataset(Dataset):
     def __init__(self, dataset: Dataset, limit: float, watch: Watch | None = None) -> None:
         self.plain, self.watch = dataset, watch
         self._scans: Bounded[Scan] = Bounded(limit)
-        for name in ("planar", "has_beams", "has_odometry", "has_ground_truth", "skipped"):
+        for name in ATTRIBUTES:
             setattr(self, name, getattr(dataset, name))
 
     def __len__(self) -> int:
@@ -223,12 +224,9 @@ class KnownScores:
 
 def _blocks_of(dataset: Dataset) -> Iterator[list[Scan]]:
     """All scans, without truth, a block at a time."""
-    block: list[Scan] = []
-    for scan in dataset:
-        block.append(scan.without_truth())
-        if len(block) == BLOCK or scan.index == len(dataset) - 1:
-            yield block
-            block = []
+    scans = (scan.without_truth() for scan in dataset)
+    while block := list(islice(scans, BLOCK)):
+        yield block
 
 
 class SharedWork(Work):

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 ERRORS = tuple((column.name, column.unit, column.title) for column in MAIN)
 """What methods are compared by: the first of these that the runs on a data set have."""
 
-BEST = (*METHOD, "seeds", "status", "coverage")
+BEST = (*METHOD, "seeds", "replicates", "status", "coverage")
 """The columns of the table of best settings, before the errors, ms_per_scan and tried."""
 
 MOST_LISTED = 4

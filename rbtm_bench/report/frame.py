@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rbtm_bench.core.columns import COLUMNS
+from rbtm_bench.core.columns import COLUMNS, MAIN
+from rbtm_bench.report.replicates import counted, number_of, spread_columns
 from rbtm_bench.runs.identity import differing
 from rbtm_bench.runs.stored import Run
 
@@ -18,7 +19,7 @@ METHOD = ("data", "backend", "selector", "window", "threshold", "settings")
 """The columns that say what was compared on what."""
 
 FIRST = (
-    *("run", "status", "dataset", *METHOD, "seed", "scans"),
+    *("run", "status", "dataset", *METHOD, "seed", "replicate", "scans"),
     *(column.name for column in COLUMNS if column.table and not column.cost),
     "seconds",
     *(column.name for column in COLUMNS if column.table and column.cost),
@@ -44,6 +45,7 @@ def row(run: Run, label: str = "", data: str = "") -> dict[str, Any]:
         "threshold": selector.get("threshold"),
         "settings": label,
         "seed": run.record.get("seed"),
+        "replicate": number_of(run),
         "scans": run.record.get("scans"),
         "seconds": run.record.get("seconds"),
         **(run.metrics if run.done else {}),
@@ -147,7 +149,9 @@ def _last(table: pd.DataFrame) -> pd.DataFrame:
 @dataclass(frozen=True, eq=False)
 class MethodRuns:
     """Runs that differ only in their seed, and ``row``: the medians of their numbers, and in
-    ``seeds`` how many they are. Failed ones have no numbers and show in ``status``."""
+    ``seeds`` how many they are. Failed ones have no numbers and show in ``status``. Where there
+    are replicates, the medians are over the distinct ones (``replicates.counted``; ``replicates``
+    says how many), with KEY_q1, KEY_q3, KEY_worst and KEY_unperturbed behind a main error."""
 
     row: dict[str, Any]
     runs: list[Run]
@@ -160,7 +164,7 @@ def methods(runs: Sequence[Run]) -> list[MethodRuns]:
     for run in runs:
         groups.setdefault(run.method, []).append(run)
     unordered = [
-        MethodRuns(_median_row([row(run, words[run.path], data[run.path]) for run in group]), group)
+        MethodRuns(_row_of({r: row(r, words[r.path], data[r.path]) for r in group}), group)
         for group in groups.values()
     ]
     return by_data_and_backend(unordered)
@@ -176,19 +180,44 @@ def by_data_and_backend(methods: Sequence[MethodRuns]) -> list[MethodRuns]:
 
 def over_seeds(runs: Sequence[Run]) -> pd.DataFrame:
     """One row a method, as ``MethodRuns`` says."""
+    return table_of(methods(runs))
+
+
+def table_of(methods: Sequence[MethodRuns]) -> pd.DataFrame:
+    """Their rows."""
     import pandas as pd
 
-    return _last(pd.DataFrame([method.row for method in methods(runs)]))
+    return _last(pd.DataFrame([method.row for method in methods]))
 
 
-def _median_row(rows: list[dict[str, Any]]) -> dict[str, Any]:
+def _row_of(rows: dict[Run, dict[str, Any]]) -> dict[str, Any]:
+    """The row of a method from those of its runs."""
     import pandas as pd
 
-    table = pd.DataFrame(rows)
+    kept = counted(list(rows))
+    numbers = pd.DataFrame([rows[run] for run in kept])
+    every = pd.DataFrame(rows.values())
+    medians = _medians(every, numbers.reindex(columns=every.columns))
+    spreads = spread_columns(list(rows), [column.name for column in MAIN])
+    medians["replicates"] = sum(number_of(run) > 0 for run in kept) or None
     out: dict[str, Any] = {}
-    for key in table:
+    for key, value in medians.items():
+        out |= {key: value, **spreads.get(key, {})}
+    return out
+
+
+def _medians(every: pd.DataFrame, counted: pd.DataFrame) -> dict[str, Any]:
+    """The medians of the runs that count; seeds and status of every run."""
+    import pandas as pd
+
+    rows = every.to_dict("records")
+    out: dict[str, Any] = {}
+    for key in every:
+        table = every if key in ("seed", "status") else counted
         column = table[key].dropna()
-        if key == "seed":
+        if key == "replicate":
+            out["replicates"] = None
+        elif key == "seed":
             out["seeds"] = table[key].nunique(dropna=False)
         elif key in ("run", "settings"):
             out[key] = rows[0][key]

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.report import best_settings, frame
 from rbtm_bench.report.frame import METHOD, MethodRuns
-from rbtm_bench.report.units import is_number
-from rbtm_bench.runs.stored import Run
+from rbtm_bench.runs.stored import Run, is_number
 
 if TYPE_CHECKING:
     import pandas as pd

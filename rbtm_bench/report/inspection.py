@@ -82,6 +82,8 @@ def run_text(run: Run) -> str:
         text = f"{choice}: {' '.join(f'{k}={_word(v)}' for k, v in values.items())}"
         lines += _entry("data" if group == "dataset" else group, text.rstrip(": "))
         lines += _entry("", ", ".join(words)) if group == "dataset" else []
+    if record.get("replicate"):
+        lines += _entry("replicate", _replicate(record["replicate"]))
     rest = {
         k: v
         for k, v in config.items()
@@ -118,6 +120,18 @@ def _ended(record: dict[str, Any]) -> str:
     if status == "failed":
         return f"failed, {record.get('finished')}: {record.get('reason')} (more in run.json)"
     return f"{status}, {record.get('started')}, never ended"
+
+
+def _replicate(draw: dict[str, Any]) -> str:
+    """What a replicate was given, in words."""
+    moved = draw.get("settings") or {}
+    words = [
+        f"{draw['number']}: from scan {draw['first_scan']}, scored from {draw['scored_from_scan']}",
+        f"range noise {1e3 * draw['range_noise_m']:.3g} mm",
+        f"odometry by {(draw['odometry_error'] or {}).get('source', 'nothing')}",
+        *(f"{key}={_word(value)}" for key, value in moved.items()),
+    ]
+    return ", ".join(words)
 
 
 def _machine(record: dict[str, Any]) -> str:

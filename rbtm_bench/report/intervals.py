@@ -71,6 +71,23 @@ def interval(values: ArrayLike, statistic: Statistic = "median") -> Interval:
     return Interval(value, *_bootstrap((data,), function, method), len(data))
 
 
+def ratio_interval(ours: Array, theirs: Array) -> Interval | None:
+    """Median of ``ours`` over median of ``theirs`` (n,), pairs resampled together (percentiles);
+    None where a value is not positive."""
+    if not ((ours > 0).all() and (theirs > 0).all()):
+        return None
+    value = float(np.median(ours) / np.median(theirs))
+    if len(ours) < FEWEST_UNITS:
+        return Interval(value, None, None, len(ours))
+
+    def ratio(drawn: Array, axis: int = -1) -> Any:
+        i = drawn.astype(np.intp)
+        return np.median(ours[i], axis=axis) / np.median(theirs[i], axis=axis)
+
+    pairs = np.arange(len(ours), dtype=np.float64)
+    return Interval(value, *_bootstrap((pairs,), ratio, "percentile"), len(ours))
+
+
 def cluster_interval(errors: Array, clusters: Labels, strata: ArrayLike) -> Interval:
     """Mean of the errors (R,) with an interval from resampling whole clusters; ``n`` counts them.
 

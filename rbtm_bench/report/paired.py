@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.core.columns import less_is_better
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.wording import shown
 from rbtm_bench.report import best_settings, intervals
+from rbtm_bench.report.better import DISTINCT, REPLICATES, SIGNIFICANT
 from rbtm_bench.report.frame import METHOD, MethodRuns
+from rbtm_bench.report.margin import Margin, margin_of
 from rbtm_bench.report.units import CLUSTERS, Units, grouped, methods_to_compare
 from rbtm_bench.report.with_intervals import choice_of, keys_of, references_of
 from rbtm_bench.runs.stored import Run
 
 if TYPE_CHECKING:
     import pandas as pd
-
-SIGNIFICANT = 0.05
 
 
 def against(
@@ -62,17 +63,29 @@ def against(
         name = _label(base[0].row, words) if base else None
         keys = metrics or keys_of(group, beside=False)
         rivals = [Units(method) for method in group if method not in base]
-        rows += [_row(rival, base_units, key, name) for rival in rivals for key in keys]
+        margins = {key: margin_of(group, key) for key in keys}
+        rows += [
+            _row(rival, base_units, key, name, margins[key]) for rival in rivals for key in keys
+        ]
     if all(row["difference"] is None for row in rows):
         raise ConfigError(f"--against {reference}: no other method has a number on the same data")
+    tests = sum(row["p"] is not None for row in rows)
     for row, p in zip(rows, intervals.holm([row["p"] for row in rows]), strict=True):
         row["p_holm"] = p
-        row["holds"] = _holds(row)
+        by_replicates = row.pop("comparison")
+        if by_replicates is not None and less_is_better(row["metric"]):
+            row["holds"] = replace(by_replicates, p_holm=p, tests=tests).holds
+        else:
+            row["holds"] = _holds(row)
     columns = [*METHOD, "status", *choice_of(rows[0]), "reference", "reference_status", "metric"]
     columns += ["error", "reference_error", "difference", "difference_low", "difference_high"]
-    columns += ["difference_n", "unit", "p", "p_holm", "holds"]
-    numbers = [c for c in columns if c.startswith(("p", "difference", "error", "reference_error"))]
+    ratios = ["ratio", "ratio_low", "ratio_high", "ratio_n", "margin"]
+    ratios = ratios if any(row["unit"] == REPLICATES for row in rows) else []
+    columns += ["difference_n", "unit", *ratios, "p", "p_holm", "holds"]
+    starts = ("p", "difference", "error", "reference_error", "ratio", "margin")
+    numbers = [c for c in columns if c.startswith(starts)]
     kinds = dict.fromkeys(numbers, "float64") | {"difference_n": "int64"}
+    kinds |= {name: "int64" for name in ratios if name.endswith("_n")}
     return pd.DataFrame(rows)[columns].astype(kinds)
 
 
@@ -138,13 +151,17 @@ def _label(row: dict[str, Any], named: Collection[str]) -> str:
     return " ".join(parts)
 
 
-def _row(method: Units, base: Units | None, key: str, reference: str | None) -> dict[str, Any]:
+def _row(
+    method: Units, base: Units | None, key: str, reference: str | None, margin: Margin
+) -> dict[str, Any]:
     """The method beside the reference, if the data have one, without what depends on other rows."""
     row: dict[str, Any] = {name: method.row[name] for name in (*METHOD, "status")}
     status = base.row["status"] if base else None
     row |= choice_of(method.row)
     row |= {"reference": reference, "reference_status": status, "metric": key}
-    difference = method.minus(base, key) if base else None
+    difference = method.minus(base, key, margin) if base else None
+    by_replicates = difference.comparison if difference else None
+    ratio = by_replicates.ratio if by_replicates else None
     row |= {
         "error": difference.error if difference else None,
         "reference_error": difference.reference if difference else None,
@@ -154,6 +171,12 @@ def _row(method: Units, base: Units | None, key: str, reference: str | None) -> 
         "difference_n": difference.interval.n if difference else 0,
         "unit": difference.unit if difference else None,
         "p": difference.p if difference else None,
+        "ratio": ratio.value if ratio else None,
+        "ratio_low": ratio.low if ratio else None,
+        "ratio_high": ratio.high if ratio else None,
+        "ratio_n": ratio.n if ratio else 0,
+        "margin": margin.factor if ratio else None,
+        "comparison": by_replicates,
     }
     return row
 
@@ -181,10 +204,16 @@ def difference_notes(table: pd.DataFrame) -> list[str]:
     if tests:
         number = "1 test" if tests == 1 else f"{tests} tests"
         lines.append(
-            f"p: Wilcoxon signed-rank; p_holm: adjusted for {number}; holds: p_holm < "
-            f"{SIGNIFICANT} and the interval excludes 0"
+            f"p: Wilcoxon signed-rank, of replicates sign flips of log ratios; p_holm: adjusted "
+            f"for {number}; holds: p_holm < {SIGNIFICANT} and the interval excludes 0"
         )
-    few = (table["difference_n"] < intervals.INDEPENDENT) | (table["unit"] == CLUSTERS)
+    if (table["unit"] == REPLICATES).any():
+        lines.append(
+            f"of replicates also: the ratio of medians lies beyond the margin, {DISTINCT} distinct "
+            "trajectories on either side; on this log, under these perturbations"
+        )
+    few = (table["difference_n"] < intervals.INDEPENDENT) & (table["unit"] != REPLICATES)
+    few |= table["unit"] == CLUSTERS
     if (few & table["difference"].notna()).any():
         lines.append(
             f"no test, and nothing called better, on fewer than {intervals.INDEPENDENT} "

@@ -17,7 +17,13 @@ if TYPE_CHECKING:
 
 FORMATS = ("text", "csv", "md", "latex", "html", "json")
 
-SHORT = (*METHOD, "seeds", "status", *(column.name for column in COLUMNS if column.screen))
+SHORT = (
+    *METHOD,
+    "seeds",
+    "replicates",
+    "status",
+    *(column.name for column in COLUMNS if column.screen),
+)
 """The columns of the table at the end of ``compare``."""
 
 ALWAYS = ("backend", "selector", "tried")

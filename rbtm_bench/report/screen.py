@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 from rbtm_bench.core.columns import COLUMNS
 from rbtm_bench.core.files import write_text
 from rbtm_bench.report import best_settings, frame, render, verdict
+from rbtm_bench.report.frame import MethodRuns
+from rbtm_bench.report.replicates import OF_MAIN, data_set, number_of, spread
 from rbtm_bench.runs import stored
 from rbtm_bench.runs.stored import Run
 
@@ -58,12 +60,15 @@ class RunTables:
     runs: list[Run]
     every: pd.DataFrame
     methods: pd.DataFrame
+    of_methods: list[MethodRuns]
+    """The runs behind the rows of ``methods``, in the same order."""
 
 
 def tables_of(folders: Sequence[Path]) -> RunTables:
     """The tables of the runs in these folders."""
     runs = stored.find_runs(folders)
-    return RunTables(runs, frame.frame(runs), frame.over_seeds(runs))
+    of_methods = frame.methods(runs)
+    return RunTables(runs, frame.frame(runs), frame.table_of(of_methods), of_methods)
 
 
 def write_tables(out: Path, tables: RunTables) -> None:
@@ -78,7 +83,9 @@ def of_runs(out: Path, tables: RunTables) -> str:
     runs, methods = tables.runs, tables.methods
     best = best_settings.best(methods)
     has_tries = bool(best_settings.chances(best))
-    lines = [*overview(methods, best), *verdict.verdict(methods, say_tries=not has_tries)]
+    lines = overview(methods, best)
+    lines += verdict.verdict(methods, tables.of_methods, say_tries=not has_tries)
+    lines += replicates_outside(tables.of_methods)
     lines += [*reuse(runs), *reasons(runs)]
     lines += [f"warning: {line}" for line in comparison_warnings(runs)]
     lines.append(f"a row a run: {out / 'table.csv'}; a row a method: {out / 'summary.csv'}")
@@ -108,13 +115,60 @@ def of_best(best: pd.DataFrame) -> list[str]:
 
 def _with_same(table: pd.DataFrame, columns: Sequence[str], keep: Sequence[str]) -> list[str]:
     """A table as text, what is the same in every row, and what its numbers are."""
+    table, columns, keep = _with_spread(table, columns, keep)
     shown, same = render.screen_table(table, columns, keep)
     lines = [render.render(shown, "text")]
     lines += [f"the same in every row: {same}"] if same else []
     seeds = int(table["seeds"].max()) if table["seeds"].notna().any() else 1
-    if seeds > 1:
+    if "quartiles" in shown:
+        lines.append(
+            "medians over distinct replicates (perturbed copies of the data); beside the main "
+            "error its quartiles, the worst, and the run on the data as they are"
+        )
+    elif seeds > 1:
         lines.append(f"medians over the runs of a method that differ only in their seed ({seeds})")
     return lines
+
+
+def _with_spread(
+    table: pd.DataFrame, columns: Sequence[str], keep: Sequence[str]
+) -> tuple[pd.DataFrame, Sequence[str], Sequence[str]]:
+    """The table, and the names of its columns, with what stands behind the main error of methods
+    with replicates: narrow enough for a screen."""
+    spread_of = {key: f"{key}_q1" for key, _, _ in best_settings.ERRORS if f"{key}_q1" in table}
+    main = [key for key in spread_of if key in columns and table[spread_of[key]].notna().any()]
+    if not main:
+        return table, columns, keep
+    rows: list[dict[str, Any]] = []
+    for _, row in table.iterrows():
+        key = next((k for k in main if not render.is_empty(row[f"{k}_q1"])), None)
+        cells = {} if key is None else {end: row[f"{key}_{end}"] for end in OF_MAIN}
+        quartiles = [render.three_digits(cells[end]) for end in ("q1", "q3") if end in cells]
+        rows.append({"quartiles": " - ".join(quartiles), **cells})
+    beside = ["quartiles", "worst", "unperturbed"]
+    table = table.assign(**{name: [row.get(name) for row in rows] for name in beside})
+    at = list(columns).index(main[0]) + 1
+    return table, [*columns[:at], *beside, *columns[at:]], (*keep, *beside)
+
+
+def replicates_outside(methods: Sequence[MethodRuns]) -> list[str]:
+    """Methods whose run on the data as they are is none of what its replicates span."""
+    outside: list[str] = []
+    for method in methods:
+        key = next((k for k, _, _ in best_settings.ERRORS if f"{k}_q1" in method.row), None)
+        over = spread(method.runs, key) if key else None
+        if over is not None and over.outside:
+            lone, ends = over.unperturbed, (over.best, over.worst)
+            assert lone is not None
+            low, high = map(render.three_digits, ends)
+            name = f"{method.row['backend']} {verdict.label(method.row)}"
+            outside.append(f"{name}: {render.three_digits(lone)}, replicates {low} to {high}")
+    if not outside:
+        return []
+    more = len(outside) - REASONS
+    listed = [f"  {line}" for line in outside[:REASONS]]
+    listed += [f"  and {more} more"] if more > 0 else []
+    return ["the run on the data as they are lies outside its replicates:", *listed]
 
 
 def reuse(runs: Sequence[Run]) -> list[str]:
@@ -181,7 +235,7 @@ def _other_data(runs: Sequence[Run]) -> list[str]:
             groups.setdefault((name, seed), []).append(run)
     lines: dict[str, list[str]] = {}
     for (name, seed), group in groups.items():
-        by_fingerprint = _by_value(group, lambda run: str(run.record["dataset_fingerprint"])[:12])
+        by_fingerprint = _by_value(group, lambda run: data_set(run)[:12])
         if len(by_fingerprint) > 1:
             where = name if seed is None else f"{name}, seed {seed}"
             lines.setdefault(name, []).append(
@@ -207,7 +261,7 @@ def _other_versions(runs: Sequence[Run]) -> list[str]:
 
 
 def _repeated(runs: Sequence[Run]) -> list[str]:
-    groups = Counter((run.method, run.record.get("seed")) for run in runs)
+    groups = Counter((run.method, run.record.get("seed"), number_of(run)) for run in runs)
     again = sum(count - 1 for count in groups.values())
     if not again:
         return []

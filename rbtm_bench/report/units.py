@@ -1,8 +1,8 @@
 """What the runs of a method are resampled and paired by.
 
 A unit is an independent data set, known by its fingerprint: a seed of a simulated environment is
-one, a log is one however often it was run. Within one log the units are the place-time clusters
-of its relations (rbtm_bench.report.intervals).
+one, a log is one however often it was run. Within one log the units are its replicates, and of one
+run the place-time clusters of its relations (rbtm_bench.report.intervals).
 """
 
 from __future__ import annotations
@@ -19,10 +19,12 @@ import numpy as np
 from rbtm_bench.core.columns import is_cost
 from rbtm_bench.core.types import Array
 from rbtm_bench.metrics.relation_errors import FILE, RelationErrors
-from rbtm_bench.report import frame, intervals
+from rbtm_bench.report import better, frame, intervals
+from rbtm_bench.report.better import REPLICATES, Comparison
 from rbtm_bench.report.frame import MethodRuns
 from rbtm_bench.report.intervals import Interval, Labels, Statistic
-from rbtm_bench.runs.identity import node_key
+from rbtm_bench.report.margin import DEFAULT, Margin
+from rbtm_bench.report.replicates import counted, data_set, number_of, value_of
 from rbtm_bench.runs.stored import Run
 
 DATA_SETS, CLUSTERS = "data sets", "clusters"
@@ -35,28 +37,30 @@ _OF_RELATIONS = re.compile(r"relations_(local_|long_)?(translation_mean_m|rotati
 class Difference:
     """One metric of two methods on the same data: ``error`` and ``reference`` over what both
     have, ``interval`` of error - reference, ``unit`` what it was resampled by, ``p`` of the
-    signed-rank test or None."""
+    paired test or None. ``comparison``: by replicates, as ``better`` judges it."""
 
     error: float
     reference: float
     interval: Interval
     unit: str
     p: float | None
+    comparison: Comparison | None = None
 
 
 class Units:
     """The numbers of one method, by unit."""
 
     def __init__(self, method: MethodRuns) -> None:
-        self.row = method.row
-        self._done = [run for run in method.runs if run.done]
+        self.row, self._method = method.row, method
+        self._done = [run for run in counted(method.runs) if run.done]
 
     def by_data_set(self, key: str) -> dict[str, float]:
         """The metric by data set; of several runs on the same data their median."""
         values: dict[str, list[float]] = {}
         for run in self._done:
-            if is_number(run.metrics.get(key)):
-                values.setdefault(data_set(run), []).append(float(run.metrics[key]))
+            value = value_of(run, key)
+            if value is not None:
+                values.setdefault(data_set(run), []).append(value)
         return {name: float(np.median(numbers)) for name, numbers in values.items()}
 
     @cached_property
@@ -99,16 +103,28 @@ class Units:
         return None if np.isnan(values).all() else values
 
     def estimate(self, key: str, statistic: Statistic) -> Interval | None:
-        """The metric over all units; None if no run has it."""
-        errors, relations = self._of_relations(key), self.relations
-        if errors is not None and relations is not None:
-            return intervals.cluster_interval(errors, self._clusters, relations.local)
+        """The metric over all data sets, on one over its replicates; None if no run has it."""
         values = self.by_data_set(key)
+        if len(values) == 1 and any(map(number_of, self._done)):
+            every = [value_of(run, key) for run in self._done]
+            return intervals.interval([v for v in every if v is not None], statistic)
         numbers = [values[name] for name in shared([self], key)]
         return intervals.interval(numbers, statistic) if numbers else None
 
-    def minus(self, other: Units, key: str) -> Difference | None:
+    def clusters(self, key: str) -> Interval | None:
+        """The mean of a log's relation errors, with the interval over their clusters."""
+        errors, relations = self._of_relations(key), self.relations
+        if errors is None or relations is None:
+            return None
+        return intervals.cluster_interval(errors, self._clusters, relations.local)
+
+    def minus(self, other: Units, key: str, margin: Margin = DEFAULT) -> Difference | None:
         """This method's metric minus the other's, unit by unit; None if they share none."""
+        compared = better.compare(self._method, other._method, key, margin)
+        if compared is not None and compared.unit == REPLICATES:
+            interval = intervals.interval(compared.pairs[0] - compared.pairs[1])
+            medians = compared.ours, compared.theirs
+            return Difference(*medians, interval, REPLICATES, compared.p, compared)
         ours, theirs = self.by_data_set(key), other.by_data_set(key)
         common = shared([self, other], key)
         if not common:
@@ -152,17 +168,6 @@ def shared(methods: Sequence[Units], key: str) -> list[str]:
     for name in common:
         first.setdefault(tuple(method.signatures[name] for method in methods), name)
     return list(first.values())
-
-
-def is_number(value: Any) -> bool:
-    """True for a metric that exists."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def data_set(run: Run) -> str:
-    """What makes its data another data set: their fingerprint, or else its settings."""
-    fingerprint = run.record.get("dataset_fingerprint")
-    return str(fingerprint or node_key(run.identity.dataset, run.identity.seed))
 
 
 def methods_to_compare(runs: Sequence[Run], pool: bool) -> list[MethodRuns]:

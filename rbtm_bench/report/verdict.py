@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from rbtm_bench.report import better
 from rbtm_bench.report.best_settings import main_error, winner
+from rbtm_bench.report.better import DISTINCT, REPLICATES, SIGNIFICANT, Comparison
+from rbtm_bench.report.frame import MethodRuns
+from rbtm_bench.report.margin import margin_of
 from rbtm_bench.report.render import is_numeric_cell, three_digits
 
 if TYPE_CHECKING:
@@ -13,66 +18,103 @@ if TYPE_CHECKING:
 NO_CONTROL = ("rbtm", "rbtm_verified", "oracle")
 """Selectors that rbtm is not held against: itself, and what sees the truth."""
 
+Pairs = dict[tuple[Any, Any], Comparison]
+"""Comparisons by the rows of both sides."""
 
-def verdict(table: pd.DataFrame, say_tries: bool = True) -> list[str]:
+
+def verdict(
+    table: pd.DataFrame, methods: Sequence[MethodRuns] = (), say_tries: bool = True
+) -> list[str]:
     """Sentences, computed from the numbers, on how rbtm compares with its controls.
 
-    ``table`` has a row a method (medians over seeds). A line for every data set and backend that
-    has rbtm and at least one control. Not a test of significance: medians are compared. Without
-    ``say_tries`` somebody else says of how many settings each is the best.
+    ``table`` has a row a method (medians over replicates, or seeds), ``methods`` their runs in
+    that order; without them the rows are single runs. A line for every data set and backend that
+    has rbtm and at least one control; "better" as ``report.better`` has it, adjusted for every
+    setting of rbtm against every control, shown or not. Without ``say_tries`` somebody else says
+    of how many settings each is the best.
     """
+    pairs = _comparisons(table, methods)
     lines: list[str] = []
-    for (data, backend), methods in table.groupby(["data", "backend"], sort=False):
-        on_data = table[table.data == data]
-        error = main_error(on_data)
-        if error is None:
+    for (data, backend), rows in table.groupby(["data", "backend"], sort=False):
+        error = main_error(table[table.data == data])
+        if error is None or backend == "none":
             continue
         key, unit, name = error
-        rows = methods.dropna(subset=[key]).astype({key: float})
-        ours, controls = rows[rows.selector == "rbtm"], rows[~rows.selector.isin(NO_CONTROL)]
+        known = rows.dropna(subset=[key]).astype({key: float})
+        ours, controls = known[known.selector == "rbtm"], known[~known.selector.isin(NO_CONTROL)]
         best, rival = winner(ours, key), winner(controls, key)
-        if best is None or rival is None or backend == "none":
+        if best is None or rival is None:
             continue
         line = (
-            f"{data}, {backend}: {name} of {_label(best)} is {three_digits(best[key])} {unit}, "
-            f"of the best control, {_label(rival)}, {three_digits(rival[key])} {unit}: "
-            f"{_relation(float(best[key]), float(rival[key]))}"
+            f"{data}, {backend}: {name} of {label(best)} is {three_digits(best[key])} {unit}, "
+            f"of the best control, {label(rival)}, {three_digits(rival[key])} {unit}: "
+            f"{_words(best, rival, key, pairs)}"
         )
-        previous = rows[rows.selector == "previous"]
-        if not previous.empty and rival.selector != "previous":
-            value = float(previous[key].min())
-            line += f"; previous {three_digits(value)} {unit}, {_relation(float(best[key]), value)}"
-        line += _without_registration(table, str(data), key, unit, float(best[key]))
-        tries = methods.groupby("selector", sort=False).size()
+        others = {"previous": known[known.selector == "previous"]}
+        others = {} if rival.selector == "previous" else others
+        others["no registration"] = table[(table.data == data) & (table.backend == "none")]
+        for what, candidates in others.items():
+            other = winner(candidates.dropna(subset=[key]), key)
+            if other is not None:
+                line += f"; {what} {three_digits(other[key])} {unit}, "
+                line += _words(best, other, key, pairs)
+        tries = rows.groupby("selector", sort=False).size()
         if say_tries and tries.max() > 1:
             line += ". Best of " + ", ".join(f"{n} x {s}" for s, n in tries.items())
             line += " settings, chosen on this very data"
         lines.append(line + ".")
-    return lines
+    return [*lines, *rule(list(pairs.values()))]
 
 
-def _without_registration(table: pd.DataFrame, data: str, key: str, unit: str, ours: float) -> str:
-    """The baseline that every registration has to beat, where the table has it."""
-    rows = table[(table.data == data) & (table.backend == "none")][key].dropna()
-    if rows.empty:
-        return ""
-    value = float(rows.min())
-    return f"; no registration {three_digits(value)} {unit}, {_relation(ours, value)}"
+def _comparisons(table: pd.DataFrame, methods: Sequence[MethodRuns]) -> Pairs:
+    """Every setting of rbtm against every control of its backend and no registration, adjusted
+    for all of them."""
+    pairs: Pairs = {}
+    runs = dict(zip(table.index, methods, strict=False))
+    for _, on_data in table.groupby("data", sort=False):
+        error = main_error(on_data)
+        if error is None or not runs:
+            continue
+        margin = margin_of([runs[i] for i in on_data.index], error[0])
+        nothing = on_data[on_data.backend == "none"].index
+        for backend, rows in on_data.groupby("backend", sort=False):
+            if backend == "none":
+                continue
+            ours = rows[rows.selector == "rbtm"].index
+            others = [*rows[~rows.selector.isin(NO_CONTROL)].index, *nothing]
+            for i, j in ((i, j) for i in ours for j in others):
+                comparison = better.compare(runs[i], runs[j], error[0], margin)
+                if comparison is not None:
+                    pairs[i, j] = comparison
+    return dict(zip(pairs, better.adjusted(list(pairs.values())), strict=True))
 
 
-def _label(row: pd.Series[Any]) -> str:
+def _words(ours: pd.Series[Any], other: pd.Series[Any], key: str, pairs: Pairs) -> str:
+    comparison = pairs.get((ours.name, other.name))
+    if comparison is None:
+        seeds = [row["seeds"] for row in (ours, other) if is_numeric_cell(row.get("seeds"))]
+        runs = int(min(seeds, default=1))
+        comparison = better.of_runs(float(ours[key]), float(other[key]), runs)
+    return comparison.words("rbtm")
+
+
+def rule(comparisons: Sequence[Comparison]) -> list[str]:
+    """What "better" took, where replicates were compared."""
+    over = [one for one in comparisons if one.unit == REPLICATES]
+    if not over:
+        return []
+    margins = dict.fromkeys(one.margin for one in over)
+    words = " or ".join(f"{margin.factor:.3g} ({margin.source})" for margin in margins)
+    return [
+        f"better or worse: p < {SIGNIFICANT} after Holm over {over[0].tests} comparisons, a ratio "
+        f"beyond {words}, and {DISTINCT} distinct trajectories on either side; "
+        "said of this log under these perturbations, not of others"
+    ]
+
+
+def label(row: Mapping[str, Any] | pd.Series[Any]) -> str:
+    """A method's selector and its settings."""
     details = [f"{k} {row[k]:g}" for k in ("window", "threshold") if is_numeric_cell(row.get(k))]
     extra = row.get("settings")
     details += [str(extra)] if extra else []
     return f"{row['selector']} ({', '.join(details)})" if details else str(row["selector"])
-
-
-def _relation(ours: float, other: float) -> str:
-    if ours == other:
-        return "rbtm is equal"
-    if min(ours, other) <= 0:
-        return "rbtm is better" if ours < other else "rbtm is worse"
-    ratio = max(ours, other) / min(ours, other)
-    if ratio < 1.05:
-        return "rbtm is as good, within 5%"
-    return f"rbtm is {ratio:.3g} times {'better' if ours < other else 'worse'}"

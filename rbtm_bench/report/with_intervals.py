@@ -12,8 +12,9 @@ from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.report import best_settings, intervals, render
 from rbtm_bench.report.frame import METHOD, MethodRuns
 from rbtm_bench.report.intervals import Statistic
-from rbtm_bench.report.units import Units, grouped, is_number, methods_to_compare, shared
-from rbtm_bench.runs.stored import Run
+from rbtm_bench.report.replicates import OF_MAIN
+from rbtm_bench.report.units import Units, grouped, methods_to_compare, shared
+from rbtm_bench.runs.stored import Run, is_number
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,8 +38,9 @@ def interval_table(
 ) -> pd.DataFrame:
     """A row a method: for each metric its value, KEY_low, KEY_high and KEY_n, the units.
 
-    The value is the median (or mean) over data sets; of the relations of one log the mean, with
-    an interval over clusters. ``rank`` is the mean rank by the first metric among the methods
+    The value is the median (or mean) over data sets, on one over its replicates. KEY_clusters is
+    the mean of the relation errors of one log with an interval over their clusters: within a run,
+    not between runs. ``rank`` is the mean rank by the first metric among the methods
     of a data set and backend, over the data sets that all of them have; none by a metric whose
     meaning hangs on its references, which become columns for ``render.render``.
     ``methods``: these instead of all (``held_out.leave_one_out``).
@@ -60,12 +62,24 @@ def interval_table(
                 row[f"{key}_low"] = over.low if over else None
                 row[f"{key}_high"] = over.high if over else None
                 row[f"{key}_n"] = over.n if over else 0
+                row |= _clusters(units, key)
+                row |= {f"{key}_{e}": v for e in OF_MAIN if (v := units.row.get(f"{key}_{e}"))}
                 row |= {name: units.row.get(name) for name in references_of(runs, key)}
             rows.append({**row, "rank": rank})
     table = pd.DataFrame(rows)
     table = table[[*(c for c in table if c != "rank"), "rank"]]
     counts = {c: int for c in table if str(c).endswith("_n")}
     return table.fillna(dict.fromkeys(counts, 0)).astype({**counts, "rank": float})
+
+
+def _clusters(units: Units, key: str) -> dict[str, Any]:
+    """The columns of a number that is a mean over the relations of one log."""
+    within = units.clusters(key)
+    if within is None:
+        return {}
+    name = f"{key}_clusters"
+    ends = {f"{name}_low": within.low, f"{name}_high": within.high, f"{name}_n": within.n}
+    return {name: within.value, **ends}
 
 
 def choice_of(row: dict[str, Any]) -> dict[str, Any]:
@@ -135,9 +149,14 @@ def _cell(value: float | None, low: float | None, high: float | None, n: int) ->
 def interval_notes(table: pd.DataFrame, statistic: Statistic) -> list[str]:
     """The notes beside a table of intervals."""
     lines = [
-        f"{statistic} over data sets (seeds) [bootstrap 95% interval] (units); relations of one "
-        "log: mean [over place-time clusters] (clusters)"
+        f"{statistic} over data sets (seeds), on one log over its replicates [bootstrap 95% "
+        "interval] (units)"
     ]
+    if any(str(c).endswith("_clusters") for c in table):
+        lines.append(
+            "clusters: mean of one run's relation errors [over place-time clusters] (clusters); "
+            "says nothing of another run"
+        )
     counts = {int(n) for c in table if str(c).endswith("_n") for n in table[c]} - {0}
     few = sorted(n for n in counts if intervals.FEWEST_UNITS <= n < intervals.INDEPENDENT)
     if few:

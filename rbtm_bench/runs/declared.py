@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, NamedTuple
 
-from annotated_types import Ge, Gt, Lt
+from annotated_types import Ge, Gt, Le, Lt
 from typing_extensions import TypedDict
 
 from rbtm_bench.core.kinds import Kind, Seed
@@ -31,6 +31,23 @@ class Pairs(TypedDict):
     memory_mb: Annotated[float, Gt(0)]
 
 
+class Perturbation(TypedDict):
+    """The settings of ``perturbation``: how far replicates are from the data and the settings as
+    they are (``datasets.perturbed``, ``runs.replicate``)."""
+
+    ranges: Annotated[float, Ge(0), Le(1 / 3)]
+    odometry: Annotated[float, Ge(0), Le(0.1)]
+    start_scans: Annotated[int, Ge(0)]
+    distances: Annotated[float, Ge(0), Le(0.1)]
+    thresholds: Annotated[float, Ge(0), Le(0.01)]
+
+
+PERTURBATION = Perturbation(
+    ranges=0.33, odometry=0.1, start_scans=10, distances=0.1, thresholds=0.01
+)
+"""What is perturbed unless told otherwise, and in runs that do not say."""
+
+
 class Shared(NamedTuple):
     """A setting outside every group: its type (None: the plug-ins check it) and its kind."""
 
@@ -40,6 +57,9 @@ class Shared(NamedTuple):
 
 SHARED = {
     "seed": Shared(Seed, Kind.SEED),
+    "replicates": Shared(Annotated[int, Ge(1)], Kind.HOW),
+    "replicate": Shared(Annotated[int, Ge(0)], Kind.SEED),
+    "perturbation": Shared(Perturbation, Kind.WHAT),
     "out": Shared(str | None, Kind.HOW),
     "overwrite": Shared(bool, Kind.HOW),
     "pictures": Shared(bool, Kind.HOW),

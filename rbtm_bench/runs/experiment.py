@@ -2,8 +2,9 @@
 
 A run folder holds ``config.yaml`` (resolved), ``run.json`` (status and provenance),
 ``steps.parquet`` (a row a scan), ``trajectory.tum``, ``metrics.json`` and ``map.npz``, and, where
-they exist, ``ground_truth.tum``, ``similarity.npz`` and ``relations.parquet`` (the error of every
-relation). Every file appears whole or not at all.
+they exist, ``ground_truth.tum``, ``similarity.npz``, ``relations.parquet`` (the error of every
+relation) and ``metrics_common.json`` (``evaluation.COMMON``). Every file appears whole or not at
+all.
 """
 
 from __future__ import annotations
@@ -33,17 +34,16 @@ from rbtm_bench.core.kernels import make_ready
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array, Scan, StepTable, read_only
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.metrics.base import Metric, evaluated
+from rbtm_bench.metrics.base import Metric
 from rbtm_bench.metrics.cost import peak_memory_mb
 from rbtm_bench.metrics.relation_errors import FILE as RELATIONS
-from rbtm_bench.metrics.relations import RelationError
 from rbtm_bench.metrics.summary import summarise_steps
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.odometry.system import system_odometry
 from rbtm_bench.pairs.shared import SharedDataset
 from rbtm_bench.pairs.watched import Watch, WatchedWork
-from rbtm_bench.runs import provenance
+from rbtm_bench.runs import evaluation, provenance, replicate
 from rbtm_bench.runs.claim import claimed, refuse_existing
 from rbtm_bench.runs.declared import PLUGIN_GROUPS
 from rbtm_bench.runs.pinning import pin_to_free_core
@@ -111,7 +111,7 @@ def _recorded(
 ) -> dict[str, Any]:
     """The run, and how it ended in its ``run.json``."""
     try:
-        record["seconds"] = _execute(parts, settings, out, progress)
+        record |= _execute(parts, settings, out, progress)
         _refuse_changes(parts, settings)
         record["status"] = "done"
     except BaseException as error:
@@ -144,9 +144,9 @@ def instantiate(settings: Settings) -> Parts:
 
     Raises ``ConfigError`` where parts do not fit together, ``DataError`` for bad data.
     """
-    config = settings.config
-    plain = build(config["dataset"])
+    plain = replicate.copy_of(build(settings.config["dataset"]), settings.config)
     check_fit(settings, plain)
+    config = replicate.with_moved(settings.config, plain)
     watch = Watch(UNSHARED_BYTES) if foreign_modules(config) else None
     dataset = SharedDataset(plain, 0.0, watch)
     if is_system(config):
@@ -257,8 +257,10 @@ def _refuse_changes(parts: Parts, settings: Settings) -> None:
         raise RunError(f"{names} changed {changed[0]}{others}")
 
 
-def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | None) -> float:
-    """The loop and its files; returns the loop's wall time in s."""
+def _execute(
+    parts: Parts, settings: Settings, out: Path, progress: Progress | None
+) -> dict[str, Any]:
+    """The loop and its files; returns the loop's wall time in s and the trajectory's checksum."""
     started = time.perf_counter()
     dataset = parts.dataset
     steps, poses = StepTable(), []
@@ -293,15 +295,15 @@ def _execute(parts: Parts, settings: Settings, out: Path, progress: Progress | N
     estimate.write_tum(out / "trajectory.tum")
     if reference is not None and reference.known.all():
         reference.write_tum(out / "ground_truth.tum")
-    values: dict[str, Any] = summarise_steps(steps, memory)
-    for metric in parts.metrics:
-        values |= evaluated(metric, estimate, reference, dataset, taken=values)
-        if isinstance(metric, RelationError) and dataset.relations is not None:
-            metric.errors(estimate, dataset.relations).write(out / RELATIONS)
-    write_json(out / "metrics.json", values)
+    judged = (parts.metrics, estimate, reference, dataset)
+    evaluation.write_metrics(out, summarise_steps(steps, memory), *judged)
+    evaluation.write_common(out, settings.config, *judged)
     if settings.config["pictures"]:
         _write_pictures(parts, estimate, float(settings.config["map_resolution"]), out)
-    return seconds
+    return {
+        "seconds": seconds,
+        "trajectory_sha256": evaluation.checksum(estimate, dataset.scored_from),
+    }
 
 
 def _write_pictures(parts: Parts, estimate: Trajectory, resolution: float, out: Path) -> None:
@@ -355,6 +357,7 @@ FILES = (
     "trajectory.tum",
     "ground_truth.tum",
     "metrics.json",
+    evaluation.COMMON,
     "map.npz",
     "similarity.npz",
     RELATIONS,

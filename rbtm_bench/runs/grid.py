@@ -52,7 +52,7 @@ def make_points(
 
     Raises ``ConfigError`` for a key that no chosen member declares, or any bad value.
     """
-    words, notes = one_way_to_run(words)
+    words, notes = one_way_to_run(words, extra_dirs)
     used: set[str] = set()
     points: list[tuple[Settings, list[str]]] = []
     with composing(extra_dirs) as extra:
@@ -79,12 +79,17 @@ def make_points(
         for key in keys:
             if key not in used:
                 raise ConfigError(_nobody_declares(key, declared))
-    return _named(_merge(points, notes)), list(dict.fromkeys(notes))
+    merged = _merge(points, notes)
+    merged.sort(key=lambda point: point[0].config["replicate"])  # a copy of the data at a time
+    return _named(merged), list(dict.fromkeys(notes))
 
 
-def one_way_to_run(words: list[str]) -> tuple[list[str], list[str]]:
+def one_way_to_run(
+    words: list[str], extra_dirs: tuple[Path, ...] = ()
+) -> tuple[list[str], list[str]]:
     """The overrides with one value of every setting that says how runs are executed, and a note
-    where there were more: such points give the same. Raises ``ConfigError`` for several folders."""
+    where there were more: such points give the same. ``replicates=N`` becomes the list of them.
+    Raises ``ConfigError`` for several folders, or replicates that are asked for twice."""
     kept, notes = [], []
     for override in parsed(words):
         word, key = str(override.input_line), override.key_or_group
@@ -98,7 +103,26 @@ def one_way_to_run(words: list[str]) -> tuple[list[str], list[str]]:
             )
             word = f"{word.partition('=')[0]}={values[0]}"
         kept.append(word)
-    return kept, notes
+    return [*_replicates(kept, extra_dirs), *kept], notes
+
+
+def _replicates(words: list[str], extra_dirs: tuple[Path, ...]) -> list[str]:
+    """The word that makes every run and its replicates, if ``words`` or the experiment that they
+    add ask for more than one."""
+    named = {w.lstrip("+").partition("=")[0]: w.partition("=")[2] for w in words}
+    wanted = named.get("replicates", "1")
+    experiments = [word for word in words if word.startswith("+experiment")]
+    if experiments and "replicates" not in named:
+        with composing(extra_dirs) as extra:
+            wanted = str(composed([*experiments, *extra]).get("replicates"))
+    number = int(wanted) if wanted.isdecimal() else 1  # anything else is refused with its setting
+    if number < 2:
+        return []
+    if "replicate" in named:
+        raise ConfigError(
+            f"replicate={named['replicate']}: replicates={number} makes all of them; give one"
+        )
+    return [f"replicate={','.join(map(str, range(number + 1)))}"]
 
 
 def check_values(words: list[str], extra_dirs: tuple[Path, ...] = ()) -> Settings:

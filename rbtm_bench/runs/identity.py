@@ -16,11 +16,14 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from rbtm_bench.core.kinds import Kind
-from rbtm_bench.runs.declared import FOR_PAIRS, GROUPS, PLUGIN_GROUPS, kind_of
+from rbtm_bench.runs.declared import FOR_PAIRS, GROUPS, PERTURBATION, PLUGIN_GROUPS, kind_of
 from rbtm_bench.runs.plugins import class_of, constructor_parameters, is_system
 
 SEPARATE = (Kind.SEED, Kind.OTHER_RUN)
 """Kinds that replicates of one method may differ in."""
+
+
+_USUAL = {f"perturbation.{key}": value for key, value in PERTURBATION.items()}
 
 
 @dataclass(frozen=True)
@@ -44,10 +47,14 @@ class Identity:
         """The identity of resolved settings."""
         parts: dict[Kind, dict[str, Any]] = {kind: {} for kind in Kind}
         for key, value in flat(config):
+            if key in _USUAL and value == _USUAL[key]:
+                continue  # so that runs from before there were replicates are what they were
             if not any(key == name or key.startswith(f"{name}.") for name in idle):
                 parts[special.get(key, kind_of(key))][key] = value
         seeds = {k: v for k, v in parts[Kind.SEED].items() if k in special}
         folders = {k: _last(v) for k, v in parts[Kind.OTHER_RUN].items() if v is not None}
+        if config.get("replicate"):  # its draws depend on the run's seed, used or not
+            seeds |= {"replicate": [config["replicate"], config.get("seed")]}
         kept = {group: name for group, name in choices.items() if group not in idle}
         return cls(parts[Kind.WHAT], parts[Kind.DATA], {**seeds, **folders}, kept)
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from rbtm_bench import __version__
 from rbtm_bench.datasets.base import Dataset
+from rbtm_bench.runs.replicate import moved_settings
 from rbtm_bench.runs.settings import Settings
 
 PACKAGES = ("numpy", "scipy", "open3d", "kiss-icp", "evo", "hydra-core")
@@ -32,6 +33,7 @@ def of_run(settings: Settings, dataset: Dataset | None, core: int | None) -> dic
         "special": {key: kind.name for key, kind in settings.special.items()},
         "idle": list(settings.idle),
         "seed": settings.config["seed"],
+        "replicate": None if dataset is None else _replicate(settings, dataset),
         "scans": len(dataset) if dataset is not None else None,
         "skipped_records": dataset.skipped if dataset is not None else None,
         "dataset_fingerprint": dataset.fingerprint() if dataset is not None else None,
@@ -42,6 +44,13 @@ def of_run(settings: Settings, dataset: Dataset | None, core: int | None) -> dic
         "host": platform.node(),
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores",
     }
+
+
+def _replicate(settings: Settings, dataset: Dataset) -> dict[str, Any] | None:
+    """What a replicate was given; None for a run on the data and settings as they are."""
+    if dataset.draw is None:
+        return None
+    return {**dataset.draw, "settings": moved_settings(settings.config, dataset)}
 
 
 def packages() -> dict[str, str | None]:

@@ -72,6 +72,11 @@ class Run:
         return _source(Path(str(folder))) if folder else None
 
 
+def is_number(value: Any) -> bool:
+    """True for a metric that exists."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def read_run(path: Path) -> Run:
     """Read a run folder. Raises ``DataError`` naming the file that is missing or damaged."""
     import yaml

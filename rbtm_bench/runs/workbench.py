@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Array, RegistrationResult
+from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.pairs.codec import context
 from rbtm_bench.pairs.shared import (
@@ -24,7 +25,7 @@ from rbtm_bench.pairs.shared import (
 )
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.pairs.watched import Watch, WatchedWork
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import experiment, replicate
 from rbtm_bench.runs.identity import node_key
 from rbtm_bench.runs.plugins import foreign_modules, is_system
 from rbtm_bench.runs.provenance import versions_of
@@ -43,20 +44,21 @@ class Workbench:
         self.store = store
         self.bytes = memory_mb * 1e6
         self._data_key = ""
+        self._plain: tuple[str, Dataset] | None = None
         self._shared: dict[str, Any] = {}
         self._watch: Watch | None = None
         """Of the run's foreign plug-ins; None if all are ours."""
 
     def parts(self, settings: Settings) -> experiment.Parts:
         """The run's plug-ins and its work, shared where that changes nothing but the time."""
-        config = settings.config
-        dataset = self._dataset(config)
+        dataset = self._dataset(settings.config)
         self._watch = dataset.watch
         if self._watch is not None:
             self._watch.begin()
         if self.store is not None:
             self.store.held = self._watch is not None
         experiment.check_fit(settings, dataset.plain)
+        config = replicate.with_moved(settings.config, dataset)
         metrics = experiment.build_metrics(config)
         if is_system(config):  # it remembers, so nothing of it can be shared but the scans
             return experiment.Parts(dataset, experiment.build(config["backend"]), metrics)
@@ -96,7 +98,7 @@ class Workbench:
         if self._watch is not None and self.store is not None:
             self.store.drop()
         self._shared.clear()
-        self._data_key = ""
+        self._data_key, self._plain = "", None
 
     def _once(self, kind: str, node: Any, make: Callable[[], T]) -> T:
         key = f"{kind} {node_key(node)}"
@@ -106,16 +108,25 @@ class Workbench:
         return shared
 
     def _dataset(self, config: dict[str, Any]) -> SharedDataset:
-        data_key = node_key(config["dataset"])
+        drawn = [config.get(k) for k in ("replicate", "seed", "perturbation")]
+        data_key = node_key(config["dataset"], drawn if config.get("replicate") else None)
         if data_key != self._data_key:
-            self.forget()
-            plain = experiment.build(config["dataset"])
+            self._shared.clear()
+            plain = replicate.copy_of(self._opened(config["dataset"]), config)
             limit = self.bytes * SHARES["scans"]
             watch = Watch(limit) if foreign_modules(config) else None
             self._shared["dataset"] = SharedDataset(plain, limit, watch)
             self._data_key = data_key
         dataset: SharedDataset = self._shared["dataset"]
         return dataset
+
+    def _opened(self, node: dict[str, Any]) -> Dataset:
+        """The data set of a config, opened once for all replicates."""
+        key = node_key(node)
+        if self._plain is None or self._plain[0] != key:
+            self._plain = None  # before the next: one in memory at a time
+            self._plain = (key, experiment.build(node))
+        return self._plain[1]
 
     def _backend(self, config: dict[str, Any], dataset: SharedDataset) -> KnownRegistrations:
         backend: Backend = experiment.build(config["backend"])

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
+from rbtm_bench.core.kinds import Distance, Threshold
 from rbtm_bench.core.types import Array
 from rbtm_bench.selection.base import Content, Fallback
 from rbtm_bench.selection.thresholded import ThresholdSelector
@@ -20,11 +21,11 @@ class Best(ThresholdSelector):
     def __init__(
         self,
         window: Annotated[int, Ge(2)] = 10,
-        threshold: Annotated[float, Ge(-1), Le(1)] = -1.0,
+        threshold: Threshold = -1.0,
         fallback: Fallback = "previous",
         restart_after: Annotated[int, Ge(1)] | None = None,
         content: Content = "scans",
-        keyframe_distance: Annotated[float, Gt(0)] = 0.3,
+        keyframe_distance: Distance = 0.3,
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
     ) -> None:
         super().__init__(

@@ -8,6 +8,7 @@ import numpy as np
 from annotated_types import Gt
 from numpy.typing import NDArray
 
+from rbtm_bench.core.kinds import Distance
 from rbtm_bench.core.types import Array
 from rbtm_bench.selection.base import Selector
 from rbtm_bench.selection.window import Keyframes, Window
@@ -19,7 +20,7 @@ class Keyframe(Selector):
 
     def __init__(
         self,
-        distance: Annotated[float, Gt(0)] = 0.3,
+        distance: Distance = 0.3,
         angle_deg: Annotated[float, Gt(0)] = 15.0,
     ) -> None:
         super().__init__(capacity=1)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated
 
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt
 
+from rbtm_bench.core.kinds import Distance, Threshold
 from rbtm_bench.core.types import Array, Node
 from rbtm_bench.core.uncertainty import InformationFrom, position_std
 from rbtm_bench.selection.base import Content, Fallback
@@ -26,11 +27,11 @@ class LeastUncertain(ChainSelector):
     def __init__(
         self,
         window: Annotated[int, Ge(2)] = 10,
-        threshold: Annotated[float, Ge(-1), Le(1)] = 0.7,
+        threshold: Threshold = 0.7,
         fallback: Fallback = "previous",
         restart_after: Annotated[int, Ge(1)] | None = None,
         content: Content = "scans",
-        keyframe_distance: Annotated[float, Gt(0)] = 0.3,
+        keyframe_distance: Distance = 0.3,
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
         information: InformationFrom = "own",
     ) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
+from rbtm_bench.core.kinds import Distance
 from rbtm_bench.core.types import Array
 from rbtm_bench.selection.base import Content, Selector, keyframes_or_scans
 from rbtm_bench.selection.window import Window
@@ -20,7 +21,7 @@ class Oldest(Selector):
         self,
         window: Annotated[int, Ge(2)] = 10,
         content: Content = "scans",
-        keyframe_distance: Annotated[float, Gt(0)] = 0.3,
+        keyframe_distance: Distance = 0.3,
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
     ) -> None:
         super().__init__(capacity=window - 1)

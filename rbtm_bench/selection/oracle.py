@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.geometry import inverse, transform
+from rbtm_bench.core.kinds import Distance
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.selection.base import Content, Selector, Trial, keyframes_or_scans
 from rbtm_bench.selection.window import Window
@@ -38,7 +39,7 @@ class Oracle(Selector):
         window: Annotated[int, Ge(2)] = 10,
         by: Literal["registration", "pose"] = "registration",
         content: Content = "scans",
-        keyframe_distance: Annotated[float, Gt(0)] = 0.3,
+        keyframe_distance: Distance = 0.3,
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
     ) -> None:
         super().__init__(capacity=window - 1)

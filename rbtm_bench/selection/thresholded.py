@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from annotated_types import Ge, Gt, Le
+from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
+from rbtm_bench.core.kinds import Distance, Threshold
 from rbtm_bench.core.types import Array, Node
 from rbtm_bench.selection.base import (
     Content,
@@ -43,11 +44,11 @@ class ThresholdSelector(Selector):
     def __init__(
         self,
         window: Annotated[int, Ge(2)] = 10,
-        threshold: Annotated[float, Ge(-1), Le(1)] = 0.7,
+        threshold: Threshold = 0.7,
         fallback: Fallback = "previous",
         restart_after: Annotated[int, Ge(1)] | None = None,
         content: Content = "scans",
-        keyframe_distance: Annotated[float, Gt(0)] = 0.3,
+        keyframe_distance: Distance = 0.3,
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
     ) -> None:
         super().__init__(window - 1, fallback, restart_after)

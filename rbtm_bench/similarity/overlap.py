@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge
 
 from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.types import Array
 from rbtm_bench.similarity.points import (
     Points,
@@ -29,11 +30,11 @@ class Overlap(PointSimilarity):
 
     def __init__(
         self,
-        radius: Annotated[float, Gt(0)] = 0.3,
+        radius: Distance = 0.3,
         directions: Literal["mean", "minimum"] = "mean",
         min_points: Annotated[int, Ge(1)] = 20,
         points: Annotated[int, Ge(1)] = 1000,
-        voxel_size: Annotated[float, Ge(0)] = 0.0,
+        voxel_size: VoxelSize = 0.0,
         min_height_m: float | None = None,
         max_height_m: float | None = None,
     ) -> None:

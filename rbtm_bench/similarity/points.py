@@ -12,12 +12,13 @@ from abc import abstractmethod
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge
 from numpy.typing import NDArray
 
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.geometry import voxel_downsample
 from rbtm_bench.core.kernels import kernel
+from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.similarity.base import Descriptor, Similarity
 
@@ -46,10 +47,10 @@ class PointSimilarity(Similarity):
 
     def __init__(
         self,
-        radius: Annotated[float, Gt(0)] = 0.3,
+        radius: Distance = 0.3,
         min_points: Annotated[int, Ge(1)] = 20,
         points: Annotated[int, Ge(1)] = 1000,
-        voxel_size: Annotated[float, Ge(0)] = 0.0,
+        voxel_size: VoxelSize = 0.0,
         min_height_m: float | None = None,
         max_height_m: float | None = None,
     ) -> None:

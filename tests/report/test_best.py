@@ -226,7 +226,7 @@ def test_a_small_sweep_shows_the_best_and_then_all(sweep: Path) -> None:
     assert text.startswith("the best setting of every method, within a backend by final position")
     assert text.count("backend   ") == 2 and "not printed" not in text
     assert "medians over the runs of a method that differ only in their seed (3)" in text
-    assert "rbtm is 1.25 times better" in text and "Best of" not in text
+    assert "rbtm is 1.25 times lower on these 3 runs" in text and "Best of" not in text
     assert text.index("not an equal chance") < text.index("\nall:\n") < text.index("1.25 times")
     assert str(sweep / "summary.csv") in text
 

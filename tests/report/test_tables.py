@@ -191,36 +191,36 @@ def frame(*rows: dict[str, Any]) -> pd.DataFrame:
     return pd.DataFrame(list(rows))
 
 
-def test_better_worse_and_equal() -> None:
+def test_of_single_runs_nothing_is_better_only_lower() -> None:
     (line,) = verdict.verdict(frame(method("previous", 100.0), method("rbtm", 20.0)))
     assert line == (
         "corridor, p2p: final position error of rbtm is 20 mm, "
-        "of the best control, previous, 100 mm: rbtm is 5 times better."
+        "of the best control, previous, 100 mm: rbtm is 5 times lower on this run."
     )
     (line,) = verdict.verdict(frame(method("previous", 20.0), method("rbtm", 50.0)))
-    assert "rbtm is 2.5 times worse." in line
+    assert "rbtm is 2.5 times higher on this run." in line
     (line,) = verdict.verdict(frame(method("previous", 20.0), method("rbtm", 20.0)))
     assert "rbtm is equal." in line
     for other in (20.9, 19.2):
         (line,) = verdict.verdict(frame(method("previous", other), method("rbtm", 20.0)))
-        assert "rbtm is as good, within 5%." in line
+        assert "rbtm is within 5% on this run." in line
     (line,) = verdict.verdict(frame(method("previous", 21.1), method("rbtm", 20.0)))
-    assert "times better" in line
+    assert "times lower" in line and "better" not in line
     (line,) = verdict.verdict(frame(method("previous", 0.0), method("rbtm", 20.0)))
-    assert "rbtm is worse." in line
+    assert "rbtm is higher on this run." in line
 
 
 def test_the_best_control_and_previous_are_both_named() -> None:
     rows = [method("previous", 800.0), method("keyframe", 10.0), method("rbtm", 20.0)]
     (line,) = verdict.verdict(frame(*rows))
-    assert "of the best control, keyframe, 10 mm: rbtm is 2 times worse" in line
-    assert line.endswith("; previous 800 mm, rbtm is 40 times better.")
+    assert "of the best control, keyframe, 10 mm: rbtm is 2 times higher on this run" in line
+    assert line.endswith("; previous 800 mm, rbtm is 40 times lower on this run.")
 
 
 def test_the_baseline_without_registration_is_named() -> None:
     rows = [method("previous", 100.0), method("rbtm", 20.0), method("previous", 10.0, "none")]
     (line,) = verdict.verdict(frame(*rows))
-    assert line.endswith("; no registration 10 mm, rbtm is 2 times worse.")
+    assert line.endswith("; no registration 10 mm, rbtm is 2 times higher on this run.")
 
 
 def test_the_best_of_several_settings_is_called_that() -> None:

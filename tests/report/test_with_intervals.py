@@ -98,26 +98,28 @@ def test_ranks_need_six_data_sets_that_all_have(tmp_path: Path) -> None:
 def test_relations_are_resampled_by_cluster(tmp_path: Path) -> None:
     path = make_log(tmp_path / "run", "previous", [0, 1, 0, 1, 0, 1])
     (row,) = rows_of(tmp_path)
-    assert numbers(row, LONG) == pytest.approx((0.5, 1 / 6, 5 / 6, 6))  # as in test_statistics
-    assert numbers(row, MEAN) == pytest.approx((0.5, 1 / 3, 2 / 3, 12))  # half of them are local
-    assert numbers(row, "relations_local_translation_mean_m") == (0.5, 0.5, 0.5, 6)
+    within = f"{LONG}_clusters", f"{MEAN}_clusters", "relations_local_translation_mean_m_clusters"
+    assert numbers(row, within[0]) == pytest.approx((0.5, 1 / 6, 5 / 6, 6))  # as in test_statistics
+    assert numbers(row, within[1]) == pytest.approx((0.5, 1 / 3, 2 / 3, 12))  # half are local
+    assert numbers(row, within[2]) == (0.5, 0.5, 0.5, 6)
+    assert numbers(row, MEAN) == (0.5, None, None, 1)  # of one run, whatever is within it
     (path / "relations.parquet").unlink()  # as a run of an older version
     (row,) = rows_of(tmp_path)
-    assert numbers(row, MEAN) == (0.5, None, None, 1)
+    assert numbers(row, MEAN) == (0.5, None, None, 1) and within[1] not in row
 
 
 def test_runs_that_differ_by_seed_are_averaged_relation_by_relation(tmp_path: Path) -> None:
     make_log(tmp_path / "a", "random_gap", [0, 2, 0, 2, 0, 2], seed=0)
     make_log(tmp_path / "b", "random_gap", [0, 0, 0, 0, 0, 0], seed=1)
     (row,) = rows_of(tmp_path)
-    assert numbers(row, LONG) == pytest.approx((0.5, 1 / 6, 5 / 6, 6))
+    assert numbers(row, f"{LONG}_clusters") == pytest.approx((0.5, 1 / 6, 5 / 6, 6))
 
 
 def test_metrics_that_are_no_means_of_relations_have_data_sets_as_units(tmp_path: Path) -> None:
     make_log(tmp_path / "run", "previous", [0, 1, 0, 1])
     (row,) = rows_of(tmp_path, metrics=["ms_per_scan", "relations_rotation_mean_deg"])
     assert numbers(row, "ms_per_scan") == (3.0, None, None, 1)
-    assert numbers(row, "relations_rotation_mean_deg") == (2.0, 2.0, 2.0, 8)
+    assert numbers(row, "relations_rotation_mean_deg_clusters") == (2.0, 2.0, 2.0, 8)
 
 
 def test_several_logs_are_units_once_pooled(tmp_path: Path) -> None:
@@ -175,7 +177,10 @@ def test_text_says_what_the_numbers_are(runs: Path, capsys: Any) -> None:
     out, err = shown(capsys, str(runs), "--intervals")
     assert "3.5 [1.5, 5.5] (6)" in out and "35 [15, 55] (6)" in out and err == ""
     assert "the same in every row: data corridor" in out
-    assert "median over data sets (seeds) [bootstrap 95% interval]" in out and "rank: mean" in out
+    assert (
+        "median over data sets (seeds), on one log over its replicates" in out
+        and "rank: mean" in out
+    )
     out, _ = shown(capsys, str(runs), "--intervals", "--mean", "--columns", f"selector,{MM}")
     assert "mean over data sets" in out and "backend" not in out.split("\n")[0]
 

@@ -26,6 +26,7 @@ from rbtm_bench.metrics.rpe import Rpe
 from rbtm_bench.metrics.summary import COLUMNS
 from rbtm_bench.runs import experiment
 from rbtm_bench.runs.claim import refuse_existing
+from rbtm_bench.runs.evaluation import COMMON
 from rbtm_bench.runs.settings import Settings, compose_settings
 from rbtm_bench.similarity.curvature_circular import CurvatureCircular
 
@@ -137,13 +138,13 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_files_of_a_run(done: Path) -> None:
-    expected = set(experiment.FILES) - {"relations.parquet"}  # the corridor has no relations
+    expected = set(experiment.FILES) - {"relations.parquet", COMMON}  # no relations, no replicates
     assert {p.name for p in done.iterdir()} == expected
 
 
 def test_no_scores_no_similarity_file(tmp_path: Path) -> None:
     assert run(tmp_path, "backend=none", "selector=previous") == 0
-    expected = set(experiment.FILES) - {"similarity.npz", "relations.parquet"}
+    expected = set(experiment.FILES) - {"similarity.npz", "relations.parquet", COMMON}
     assert {p.name for p in tmp_path.iterdir()} == expected
 
 

@@ -91,7 +91,7 @@ def table(chosen: Mapping[Key, MethodRuns]) -> pd.DataFrame:
         row["status"] = _status(method)
         units = Units(method)
         for name, metric in ERRORS.items():
-            estimate = units.estimate(metric, "mean")
+            estimate = units.clusters(metric) or units.estimate(metric, "mean")
             row[name] = estimate.value if estimate else math.nan
             row[f"{name}_low"] = math.nan if not estimate or estimate.low is None else estimate.low
             row[f"{name}_high"] = (

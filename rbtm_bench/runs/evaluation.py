@@ -1,0 +1,83 @@
+"""What the metrics make of a run's trajectory, over the scans that are evaluated."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rbtm_bench.core.files import write_json
+from rbtm_bench.core.geometry import inverse
+from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.datasets.base import Dataset
+from rbtm_bench.datasets.perturbed import Since, measured
+from rbtm_bench.metrics.base import Metric, evaluated
+from rbtm_bench.metrics.relation_errors import FILE as RELATIONS
+from rbtm_bench.metrics.relations import RelationError
+from rbtm_bench.runs.replicate import of_data
+
+COMMON = "metrics_common.json"
+"""The numbers of an unperturbed run over the scans that its replicates have too."""
+
+
+def evaluate(
+    metrics: Sequence[Metric],
+    estimate: Trajectory,
+    truth: Trajectory | None,
+    dataset: Dataset,
+    first: int,
+    known: dict[str, Any] | None = None,
+) -> tuple[dict[str, Any], Any]:
+    """What is ``known``, every number of the poses from scan ``first`` on, and the error of every
+    relation if there are relations: one that begins before has none."""
+    if first:
+        dataset, estimate = Since(dataset, first), estimate.since(first)
+        truth = None if truth is None else truth.since(first)
+    values: dict[str, Any] = dict(known or {})
+    errors = None
+    for metric in metrics:
+        values |= evaluated(metric, estimate, truth, dataset, taken=values)
+        if isinstance(metric, RelationError) and dataset.relations is not None:
+            errors = metric.errors(estimate, dataset.relations)
+    return values, errors
+
+
+def write_metrics(
+    out: Path,
+    of_steps: dict[str, Any],
+    metrics: Sequence[Metric],
+    estimate: Trajectory,
+    truth: Trajectory | None,
+    dataset: Dataset,
+) -> None:
+    """``metrics.json`` and, with relations, ``relations.parquet``."""
+    values, errors = evaluate(metrics, estimate, truth, dataset, dataset.scored_from, of_steps)
+    if errors is not None:
+        errors.write(out / RELATIONS)
+    write_json(out / "metrics.json", values)
+
+
+def write_common(
+    out: Path,
+    config: dict[str, Any],
+    metrics: Sequence[Metric],
+    estimate: Trajectory,
+    truth: Trajectory | None,
+    dataset: Dataset,
+) -> None:
+    """``metrics_common.json`` of an unperturbed run that has replicates."""
+    if config.get("replicate") or config.get("replicates", 1) < 2:
+        return
+    first = measured(dataset).latest_start(of_data(config))
+    write_json(out / COMMON, evaluate(metrics, estimate, truth, dataset, first)[0])
+
+
+def checksum(estimate: Trajectory, first: int) -> str:
+    """Equal for runs whose poses from scan ``first`` on, seen from that scan, are the same to the
+    bit."""
+    T = estimate.T_world_scan[first:]
+    relative = inverse(T[0]) @ T + 0.0  # no -0.0
+    return hashlib.sha256(np.ascontiguousarray(relative).tobytes()).hexdigest()
