@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -26,6 +27,39 @@ class Relations:
         return len(self.start)
 
 
+class Drops:
+    """Points or readings left out of scans, by cause; a scan that is read twice counts once."""
+
+    def __init__(self) -> None:
+        self._of_scan: dict[int, dict[str, int]] = {}
+
+    def note(self, scan: int, **causes: int) -> None:
+        """Say how many of a scan were left out; ``_`` in a cause stands for a blank."""
+        self._of_scan[scan] = {c.replace("_", " "): int(n) for c, n in causes.items() if n}
+
+    def total(self) -> dict[str, int]:
+        """Counts over all scans read so far."""
+        total: Counter[str] = Counter()
+        for causes in self._of_scan.values():
+            total.update(causes)
+        return dict(sorted(total.items()))
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How something in the data is read, decided from ``why``; ``setting`` says otherwise."""
+
+    what: str
+    taken: str
+    why: str
+    setting: str
+
+    def __str__(self) -> str:
+        words = [self.why, f"else {self.setting}=" if self.setting else ""]
+        aside = "; ".join(filter(None, words))
+        return f"{self.what}: {self.taken}" + (f" ({aside})" if aside else "")
+
+
 class Dataset(ABC):
     """A sequence of scans, validated when it is opened, read one scan at a time.
 
@@ -41,6 +75,10 @@ class Dataset(ABC):
     has_ground_truth: bool = False
     skipped: int = 0
     """Records that were malformed and left out (``on_error=skip``)."""
+    readings: tuple[Reading, ...] = ()
+    """What was decided about the data from the data itself."""
+    suspicions: tuple[str, ...] = ()
+    """What looks wrong with the data, a line each."""
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -55,6 +93,10 @@ class Dataset(ABC):
     @abstractmethod
     def fingerprint(self) -> str:
         """A hex digest of everything that determines the scans: file bytes and settings."""
+
+    def dropped(self) -> dict[str, int]:
+        """Points or readings of the scans read so far that are in no scan, by cause."""
+        return {}
 
     @property
     def relations(self) -> Relations | None:

@@ -11,13 +11,13 @@ from typing import Annotated, ClassVar
 
 import numpy as np
 from annotated_types import Ge, Gt
-from numpy.typing import NDArray
 
 from rbtm_bench.core.column import Column
 from rbtm_bench.core.columns import family
 from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
 from rbtm_bench.core.trajectory import Mask, Trajectory
 from rbtm_bench.core.types import Array
+from rbtm_bench.datasets.association import nearest
 from rbtm_bench.datasets.base import Relations
 from rbtm_bench.metrics.base import Metric, Values
 from rbtm_bench.metrics.relation_errors import RelationErrors
@@ -79,26 +79,6 @@ class RelationError(Metric):
         translation[used], rotation[used] = translation_norm(E), np.degrees(rotation_angle(E))
         local = np.abs(relations.end - relations.start) <= self.local_s
         return RelationErrors(relations.start, relations.end, local, translation, rotation)
-
-
-def nearest(stamps: Array, times: Array, tolerance_s: float) -> NDArray[np.intp]:
-    """Index (R,) of the stamp (N,) nearest to each time (R,), -1 if none is within tolerance.
-
-    ``stamps`` (s) in any order; of several equally near the earlier, then the first, is taken.
-    """
-    missing = np.full(len(times), -1, dtype=np.intp)
-    if len(stamps) == 0:
-        return missing
-    order = np.argsort(stamps, kind="stable")
-    ordered = stamps[order]
-    after = np.searchsorted(ordered, times).clip(max=len(stamps) - 1)
-    before = (after - 1).clip(min=0)
-    # Equal stamps sort as they came: step to the first of those before.
-    before = np.searchsorted(ordered, ordered[before])
-    best = np.where(
-        np.abs(ordered[before] - times) <= np.abs(ordered[after] - times), before, after
-    )
-    return np.where(np.abs(ordered[best] - times) <= tolerance_s, order[best], missing)
 
 
 def _counts(prefix: str, group: Mask, used: Mask) -> Values:

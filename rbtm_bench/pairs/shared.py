@@ -32,6 +32,7 @@ NATIVE_SHARE = 8
 RESULT_BYTES = 1000
 """A registration kept in memory, its key included (measured: 0.9 kB)."""
 GUESS_BYTES = 500
+CONSTANT = ("planar", "skipped", "readings", "suspicions")
 
 
 class Bounded(Generic[T]):
@@ -68,7 +69,7 @@ class SharedDataset(Dataset):
     def __init__(self, dataset: Dataset, limit: float, private: bool = False) -> None:
         self.plain, self.private = dataset, private
         self._scans: Bounded[Scan] = Bounded(limit)
-        for name in ("planar", "has_beams", "has_odometry", "has_ground_truth", "skipped"):
+        for name in (*CONSTANT, "has_beams", "has_odometry", "has_ground_truth", "dropped"):
             setattr(self, name, getattr(dataset, name))
 
     def __len__(self) -> int:
