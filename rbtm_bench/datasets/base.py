@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class Drops:
     def __init__(self) -> None:
         self._of_scan: dict[int, dict[str, int]] = {}
 
-    def note(self, scan: int, **causes: int) -> None:
+    def note(self, scan: int, **causes: Any) -> None:
         """Say how many of a scan were left out; ``_`` in a cause stands for a blank."""
         self._of_scan[scan] = {c.replace("_", " "): int(n) for c, n in causes.items() if n}
 

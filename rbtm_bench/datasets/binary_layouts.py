@@ -28,8 +28,8 @@ LOOKED_AT = 4096
 """Records at the start of a file that are looked at."""
 FEW = 8
 """Records that say nothing."""
-CLEAR = 0.85
-"""One layout is told from another by a difference between records of at most this share."""
+DOUBTS = 4 * 0.24
+"""Differences of ranks have a deviation of 0.24 if drawn at random: four deviations of a mean."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,8 @@ class Layout:
     def points(self, content: bytes | NDArray[np.uint8]) -> Array:
         """Points (N, 3) m of whole records."""
         rows = np.frombuffer(content, self.dtype).reshape(-1, self.fields)
-        points: Array = rows[:, :3].astype(np.float64)
+        with np.errstate(all="ignore"):  # bytes of something else may be odd NaNs
+            points: Array = rows[:, :3].astype(np.float64)
         return points if self.scale == 1.0 else self.scale * points + self.shift
 
 
@@ -64,7 +65,14 @@ LAYOUTS = {
         Layout("xyz", "x y z, float32", "<f4", 3),
         Layout("xyz64", "x y z, float64", "<f8", 3),
         Layout("xyzi64", "x y z intensity, float64", "<f8", 4),
-        Layout("nclt", "x y z as uint16 of 5 mm from -100 m, intensity and ring", "<u2", 4, 5e-3, -100.0),
+        Layout(
+            "nclt",
+            "x y z as uint16 of 5 mm from -100 m, intensity and ring",
+            "<u2",
+            4,
+            5e-3,
+            -100.0,
+        ),
     )
 }
 
@@ -99,16 +107,21 @@ def find_layout(paths: Sequence[Path]) -> tuple[str, str]:
             f"{which}{swapped}: dataset.layout= says which"
         )
     best = min(costs, key=lambda name: (round(costs[name], 12), LAYOUTS[name].record))
-    rivals = [name for name in costs if name != best and costs[best] > CLEAR * costs[name]]
-    rivals = [name for name in rivals if LAYOUTS[name].record % LAYOUTS[best].record]
-    if min(sizes) < FEW * LAYOUTS[best].record and "kitti" in costs:
-        return "kitti", "too few points to tell"
+    record = LAYOUTS[best].record
+    if min(sizes) < FEW * record:
+        if "kitti" in costs:
+            return "kitti", "too few points to tell"
+        raise DataError(f"{paths[0]}: too few points to tell the layout: dataset.layout= says it")
+    noise = DOUBTS / np.sqrt(min(LOOKED_AT, min(sizes) // record) * LAYOUTS[best].fields)
+    rivals = [name for name in costs if costs[best] > costs[name] - noise and name != best]
+    rivals = [name for name in rivals if LAYOUTS[name].record % record]
     if rivals:
         words = " or ".join(f"{n} ({LAYOUTS[n].words})" for n in (best, *rivals))
         raise DataError(f"{paths[0]}: layout {words}? dataset.layout= says which")
-    if costs[best] > CLEAR / 3:  # what numbers drawn at random give
+    unlike = min(_cost(paths[0], LAYOUTS[best], shift) for shift in range(1, LAYOUTS[best].fields))
+    if costs[best] > unlike - noise:
         raise DataError(
-            f"{paths[0]}: records of {LAYOUTS[best].record} bytes ({best}) fit its size, but are "
+            f"{paths[0]}: records of {record} bytes ({best}) fit its size, but are "
             "not alike: dataset.layout= says which layout it has"
         )
     others = [one.name for one in fitting if one.name != best]
@@ -122,26 +135,30 @@ def absurd(values: Array) -> NDArray[np.bool_]:
     return ~(size <= FARTHEST) | ((size > 0) & (size < SMALLEST))
 
 
-def _cost(path: Path, layout: Layout) -> float:
-    """Mean difference of the ranks (0 to 1) of numbers a record apart; infinite for points that
-    are implausible."""
+def _cost(path: Path, layout: Layout, shift: int = 0) -> float:
+    """Mean difference of the ranks (0 to 1) of numbers a record (and ``shift`` fields) apart, less
+    the share of equal ones; infinite for points that are implausible."""
     with path.open("rb") as file:
         content = file.read(LOOKED_AT * layout.record)
-    points = layout.points(content)
+    points = layout.points(content[: len(content) // layout.record * layout.record])
     if absurd(points).mean() > ABSURD_SHARE or not points.any():
         return np.inf
     if len(points) < FEW:
         return 0.0
-    flat = np.frombuffer(content, layout.dtype).astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        flat = np.frombuffer(content, layout.dtype).astype(np.float64)
     flat = np.nan_to_num(flat, nan=0.0, posinf=0.0, neginf=0.0)
     _, place, counts = np.unique(flat, return_inverse=True, return_counts=True)
     rank = ((np.cumsum(counts) - 0.5 * counts) / len(flat))[place]
-    return float(np.mean(np.abs(rank[layout.fields :] - rank[: -layout.fields])))
+    lag = layout.fields + shift
+    apart = np.abs(rank[lag:] - rank[:-lag])
+    return float(np.mean(apart) - np.mean(apart == 0.0))  # many fields hold the same throughout
 
 
 def _swapped(path: Path) -> bool:
     """Whether the bytes would be points, were each float32 the other way round."""
     with path.open("rb") as file:
         content = file.read(LOOKED_AT * 16)
-    values = np.frombuffer(content[: len(content) // 16 * 16], ">f4").astype(np.float64)
+    with np.errstate(all="ignore"):
+        values = np.frombuffer(content[: len(content) // 16 * 16], ">f4").astype(np.float64)
     return bool(len(values) and absurd(values).mean() <= ABSURD_SHARE)

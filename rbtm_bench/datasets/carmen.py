@@ -32,9 +32,7 @@ NOMINAL_STEP = 0.1
 RELATION_TOLERANCE = 1e-4
 """s; the relation error's own."""
 
-Kind = Literal[
-    "auto", "FLASER", "ROBOTLASER1", "RAWLASER1", "RLASER", "ROBOTLASER2", "RAWLASER2"
-]
+Kind = Literal["auto", "FLASER", "ROBOTLASER1", "RAWLASER1", "RLASER", "ROBOTLASER2", "RAWLASER2"]
 
 
 class Carmen(Dataset):
@@ -138,7 +136,9 @@ class Carmen(Dataset):
         others = ", ".join(f"{count} {name}" for name, count in log.others.items())
         kind = f"{len(log.stamps)} {log.message} lines"
         self.readings = (
-            Reading("scans", kind, f"beside {others}" if others else "", "message" if others else ""),
+            Reading(
+                "scans", kind, f"beside {others}" if others else "", "message" if others else ""
+            ),
             Reading("no return", taken, why, "max_range"),
             beams.reading,
         )
@@ -179,10 +179,10 @@ class Carmen(Dataset):
         absurd = finite & ~near & ~far & (np.abs(readings) > FARTHEST_READING)
         self._drops.note(
             index,
-            not_finite=np.count_nonzero(~finite),
-            too_near=np.count_nonzero(near),
-            no_return=np.count_nonzero(far),
-            beyond_10_km=np.count_nonzero(absurd),
+            not_finite=(~finite).sum(),
+            too_near=near.sum(),
+            no_return=far.sum(),
+            beyond_10_km=absurd.sum(),
         )
         readings[~finite | near | far | absurd] = np.nan
         return readings

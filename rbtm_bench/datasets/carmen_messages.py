@@ -105,9 +105,9 @@ def read_laser(line: Line) -> Message:
     tail = (_POSES + 5 if moving else 0) + _STAMPS
     line.has(after + tail, f" for {count} readings and {remissions} remissions")
     ranges = line.numbers("range", _HEAD_WORDS, count, finite=False)
-    poses = line.numbers("pose", after, _POSES) if moving else None
+    pose = line.numbers("pose", after, _POSES) if moving else None
     laser = Laser(*line.numbers("laser", 2, 4))
-    return Message(ranges, poses, line.stamp(after + tail - _STAMPS), laser)
+    return Message(ranges, pose, line.stamp(after + tail - _STAMPS), laser)
 
 
 def read_odom(line: Line) -> list[float]:

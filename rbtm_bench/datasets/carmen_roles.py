@@ -69,8 +69,8 @@ def find_roles(path: str, log: CarmenLog, corrected: Literal["auto"] | bool) -> 
         return Roles(False, odometry, None, readings, _stillness(odometry))
     truth = Reading("truth", f"{kind}, the first triple", why, "corrected")
     raw, source = _beside_truth(log, one_path)
-    note = ("none", source) if raw is None else (source, "")
-    readings = (Reading("odometry", *note, ""), truth)
+    taken, why = ("none", source) if raw is None else (source, "")
+    readings = (Reading("odometry", taken, why, ""), truth)
     return Roles(True, raw, log.laser_poses, readings, _stillness(log.laser_poses))
 
 
@@ -134,11 +134,10 @@ def _unsure(path: str, evidence: str) -> DataError:
 
 
 def _jumps(path: str, log: CarmenLog) -> tuple[bool, str]:
-    """ODOM lines that repeat the pose of the scan before: jumps to it, or the next of equal steps?"""
+    """ODOM lines that repeat the pose of the scan before: do they jump to it, or step as ever?"""
     robot = log.robot_poses
     assert robot is not None
-    at = log.odom_before[log.good]
-    at = at[(at > 2) & (at < len(log.odom))]
+    at = log.odom_before[(log.odom_before > 1) & (log.odom_before < len(log.odom) - 1)]
     step = between(log.odom[:-1], log.odom[1:])
     change = np.abs(between(step[:-1], step[1:]))  # how much a step differs from the one before
     ordinary = np.ones(len(change), dtype=bool)

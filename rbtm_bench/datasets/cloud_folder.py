@@ -216,7 +216,9 @@ class CloudFolder(Dataset):
 def _times_reading(times: Array | None, rate_hz: float) -> Reading:
     if times is not None:
         return Reading("times", "the names of the files", "numbers that are times", "")
-    return Reading("times", f"{rate_hz:g} Hz", "no times in the names, but for a TUM file's", "rate_hz")
+    return Reading(
+        "times", f"{rate_hz:g} Hz", "no times in the names, but for a TUM file's", "rate_hz"
+    )
 
 
 @reader

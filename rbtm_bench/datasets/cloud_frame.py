@@ -110,7 +110,9 @@ def _world(
         "the clouds are in coordinates of the world: they lie on each other already, so a "
         "registration between them is no motion of the sensor"
     )
-    return Frame(unit, "shift", shift, (*readings, Reading("frame", taken, where, "frame")), (doubt,))
+    return Frame(
+        unit, "shift", shift, (*readings, Reading("frame", taken, where, "frame")), (doubt,)
+    )
 
 
 def _units(middle: float) -> str:

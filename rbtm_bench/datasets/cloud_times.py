@@ -115,7 +115,9 @@ def match_poses(
     if len(poses) == clouds and disjoint:
         own = "in order, one a cloud"
         if stamps is not None and times is not None:
-            suspicions.append(f"the names' times ({span(times)}) are not the poses' ({span(stamps)})")
+            suspicions.append(
+                f"the names' times ({span(times)}) are not the poses' ({span(stamps)})"
+            )
         reading = Reading(role, own, why, role_setting(role))
         return Matched(poses, None if times is not None else stamps, reading, tuple(suspicions))
     if stamps is None or (times is not None and disjoint):

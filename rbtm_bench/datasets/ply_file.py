@@ -97,7 +97,8 @@ def read_header(path: Path) -> tuple[str, list[Element], int]:
                 elements[-1].properties.append((name, TYPES[kind], None))
     if encoding not in ("ascii", *ORDERS):
         raise DataError(
-            f"{path}: encoding {encoding[:20]!r} in the header is none of ascii, {', '.join(ORDERS)}"
+            f"{path}: encoding {encoding[:20]!r} in the header is none of ascii, "
+            + ", ".join(ORDERS)
         )
     vertices = [element for element in elements if element.name == "vertex"]
     scalars = [n for v in vertices for n, _, length in v.properties if length is None]
