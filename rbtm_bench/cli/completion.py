@@ -8,6 +8,7 @@ import re
 import sys
 
 COMMANDS = (
+    "data",
     "run",
     "compare",
     "sweep",
@@ -20,7 +21,7 @@ COMMANDS = (
     "list",
     "doctor",
 )
-WITH_OVERRIDES = ("run", "compare", "sweep", "similarity", "calibrate")
+WITH_OVERRIDES = ("data", "run", "compare", "sweep", "similarity", "calibrate")
 
 
 def complete(words: list[str]) -> int:

@@ -137,7 +137,7 @@ class Carmen(Dataset):
         kind = f"{len(log.stamps)} {log.message} lines"
         self.readings = (
             Reading(
-                "scans", kind, f"beside {others}" if others else "", "message" if others else ""
+                "lines", kind, f"beside {others}" if others else "", "message" if others else ""
             ),
             Reading("no return", taken, why, "max_range"),
             beams.reading,

@@ -65,7 +65,7 @@ def find_roles(path: str, log: CarmenLog, corrected: Literal["auto"] | bool) -> 
         if np.any(mount) and _near(apart, SAME, SAME).mean() > MOST:
             odometry, note = compose(odometry, mount), f"moved to the laser by {_place(mount)}"
         taken = f"{kind}, {note}"
-        readings = (_odometry(taken, why), Reading("truth", "none", why, "corrected"))
+        readings = (_odometry(taken, why), Reading("truth", "none", "", "corrected"))
         return Roles(False, odometry, None, readings, _stillness(odometry))
     truth = Reading("truth", f"{kind}, the first triple", why, "corrected")
     raw, source = _beside_truth(log, one_path)

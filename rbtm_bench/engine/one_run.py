@@ -10,6 +10,7 @@ from typing import Any
 
 from rbtm_bench.core.errors import RbtmBenchError, RunError
 from rbtm_bench.core.files import write_json
+from rbtm_bench.datasets import summary
 from rbtm_bench.engine import sweep_folder
 from rbtm_bench.engine.child import end_left_processes
 from rbtm_bench.runs import experiment, provenance
@@ -39,6 +40,7 @@ def check_data(points: Sequence[Point]) -> None:
         if key not in opened:
             opened.clear()  # one data set in memory at a time
             opened[key] = experiment.build(config["dataset"])
+            summary.tell(opened[key])
         groups = ("backend", "guess", "similarity", "selector", "check")
         fit = repr((key, [config.get(group) for group in groups]))
         if fit not in checked:

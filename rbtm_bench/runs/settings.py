@@ -197,7 +197,10 @@ def from_hydra(cfg: DictConfig, overrides: tuple[str, ...] = ()) -> Settings:
         {group: choices[group] for group in GROUPS if group in choices},
         overrides,
     )
-    check(settings.config)
+    try:
+        check(settings.config)
+    except ConfigError as error:
+        raise ConfigError(_as_typed(str(error), overrides)) from error
     if is_system(settings.config):
         settings = _of_system(settings)
     return replace(
@@ -205,6 +208,15 @@ def from_hydra(cfg: DictConfig, overrides: tuple[str, ...] = ()) -> Settings:
         special=special_settings(plain, settings.config),
         idle=idle_settings(settings.config),
     )
+
+
+def _as_typed(text: str, overrides: tuple[str, ...]) -> str:
+    """A message about a value with the word that was typed, not with what Hydra made of it."""
+    for word in overrides:
+        key = word.partition("=")[0]
+        if text.startswith(f"{key}=") and ": " in text:
+            return f"{word}: {text.partition(': ')[2]}"
+    return text
 
 
 def _of_system(settings: Settings) -> Settings:
