@@ -8,7 +8,6 @@ import re
 import sys
 
 COMMANDS = (
-    "data",
     "run",
     "compare",
     "sweep",
@@ -18,6 +17,7 @@ COMMANDS = (
     "plot",
     "similarity",
     "calibrate",
+    "data",
     "list",
     "doctor",
 )

@@ -10,9 +10,18 @@ import os
 import re
 
 TEXT = frozenset(
-    {"path", "poses", "relations", "odometry", "pattern", "out", "folder", "gaps_from", "runs"}
+    {
+        "dataset.path",
+        "dataset.poses",
+        "dataset.relations",
+        "dataset.odometry",
+        "dataset.pattern",
+        "selector.gaps_from",
+        "pairs.folder",
+        "out",
+    }
 )
-"""The last words of the settings that are paths, names or patterns."""
+"""The settings that are paths, names or patterns."""
 
 _PLAIN = re.compile(r"[A-Za-z/.][\w/.\-+:@%*]*", re.ASCII)
 _NOT_TEXT = re.compile(r"null|true|false|inf|nan", re.IGNORECASE)
@@ -26,7 +35,7 @@ def as_typed(words: list[str]) -> list[str]:
 
 def _quoted(word: str) -> str:
     key, equals, value = word.partition("=")
-    if not equals or key.rpartition(".")[2].strip() not in TEXT or not value:
+    if not equals or key.strip() not in TEXT or not value:
         return word
     if _HYDRA.match(value.lstrip()) or value == "null":
         return word

@@ -198,7 +198,8 @@ class _Collector:
         usable = [name for name in LASERS if name in self.tables and self.tables[name].stamps]
         if not usable:
             if self.first_error is None:
-                raise DataError(f"{self.path}: not a CARMEN log (no {', '.join(LASERS[:3])} line)")
+                others = ", ".join(LASERS[1:3])
+                raise DataError(f"{self.path}: not a CARMEN log (no FLASER line, nor {others})")
             raise DataError(
                 f"{self.path}: no usable line with readings, {self.skipped} malformed; "
                 f"the first: {self.first_error}"

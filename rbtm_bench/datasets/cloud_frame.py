@@ -116,6 +116,11 @@ def _world(
 
 
 def _units(middle: float) -> str:
+    if middle > FAR / 1e-3:
+        return (
+            f"half of the points are {middle:.4g} or more from the sensor: another layout or byte "
+            "order (dataset.layout=), or metres all the same (dataset.scale=1)?"
+        )
     asked = ", ".join(
         f"{name} (dataset.scale={scale:g}: {scale * middle:.3g} m)"
         for name, scale in (("mm", 1e-3), ("cm", 1e-2), ("km", 1e3))

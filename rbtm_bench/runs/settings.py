@@ -211,11 +211,16 @@ def from_hydra(cfg: DictConfig, overrides: tuple[str, ...] = ()) -> Settings:
 
 
 def _as_typed(text: str, overrides: tuple[str, ...]) -> str:
-    """A message about a value with the word that was typed, not with what Hydra made of it."""
+    """A message about a number as it was typed (1e3), not as Hydra reads it (1000.0)."""
+    setting, _, rest = text.partition(": ")
+    key, _, value = setting.partition("=")
     for word in overrides:
-        key = word.partition("=")[0]
-        if text.startswith(f"{key}=") and ": " in text:
-            return f"{word}: {text.partition(': ')[2]}"
+        name, _, typed = word.partition("=")
+        try:
+            if name == key and float(typed) == float(value):
+                return f"{word}: {rest}"
+        except ValueError:
+            continue
     return text
 
 

@@ -39,8 +39,8 @@ def test_packed_files_are_told_by_their_content(tmp_path: Path) -> None:
         (b"", "file is empty"),
         (b" \n\n", "file is empty"),
         (bytes(range(256)) * 40, "binary data"),
-        (b"ODOM 0 0 0 0 0 0 0 h 0\n", "no FLASER, .* line"),
-        (b"once upon a time\n", "no FLASER, .* line"),
+        (b"ODOM 0 0 0 0 0 0 0 h 0\n", "no FLASER line"),
+        (b"once upon a time\n", "no FLASER line"),
     ],
 )
 def test_files_that_are_no_logs(tmp_path: Path, content: bytes, message: str) -> None:
