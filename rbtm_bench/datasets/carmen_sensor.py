@@ -30,8 +30,8 @@ BEAMS_DEG: dict[int, tuple[float, float, str]] = {
 
 NO_RETURN_BAND = 0.1
 NO_RETURN_SHARE, NO_RETURN_READINGS = 0.001, 10
-ALONE_SHARE = 0.1
-"""A further value means no return if readings up to a tenth shorter are so rare beside it."""
+ALONE_SHARE = 0.5
+"""A value means no return if it outweighs all that is up to a tenth shorter (ACES: 0.10)."""
 RARE_BESIDE, MOST_OTHERS = 3, 0.05
 """It has at least three times as many as all others that are longer, and these are few."""
 FARTHEST_READING = 1e4
@@ -98,6 +98,8 @@ def _spike(readings: Array) -> tuple[float | None, int]:
     found, total, others = None, 0, 0
     for index in range(len(values) - 1, -1, -1):
         value, count = float(values[index]), int(counts[index])
+        if found is not None and value >= found - NO_RETURN_BAND:
+            continue  # goes with it
         if count < max(enough, RARE_BESIDE * others):
             others += count
             if others > MOST_OTHERS * len(finite):
@@ -105,9 +107,7 @@ def _spike(readings: Array) -> tuple[float | None, int]:
             continue
         low = np.searchsorted(values, 0.9 * value)
         high = np.searchsorted(values, value - NO_RETURN_BAND, side="right")
-        alone = counts[low:high].sum() <= ALONE_SHARE * count
-        at_the_top = found is None and others == 0
-        if not (alone or at_the_top):
+        if counts[low:high].sum() > ALONE_SHARE * count:
             others += count
             continue
         found, total = value, total + count

@@ -102,7 +102,7 @@ def _named(lines: list[str]) -> list[str]:
 def _scalar_first(quaternions: Array) -> bool:
     """Whether the first pose is no turn, and all are small ones, if their scalars come first."""
     first = np.array_equal(quaternions[0], [1.0, 0.0, 0.0, 0.0])
-    return first and bool((np.abs(quaternions[:, 0]) > np.abs(quaternions[:, 3])).all())
+    return first and bool((np.abs(quaternions[:, 0]) >= np.abs(quaternions[:, 3])).all())
 
 
 def _row(path: str | Path, line: int, words: list[bytes], columns: int) -> list[float]:
