@@ -77,6 +77,14 @@ LAYOUTS = {
 }
 
 
+SWAPPED = tuple(
+    Layout(f"{one.name}, bytes swapped", one.words, one.dtype.replace("<", ">"), one.fields)
+    for one in LAYOUTS.values()
+    if one.dtype != "<u2"
+)
+"""Looked for to be refused by name."""
+
+
 def read_layout(path: Path, layout: str) -> Array:
     """Points (N, 3) m of a file of known layout. Raises ``DataError`` where it does not fit."""
     known = LAYOUTS[layout]
@@ -94,37 +102,39 @@ def find_layout(paths: Sequence[Path]) -> tuple[str, str]:
     sizes = [file_size(path) for path in paths]
     looked_at = [paths[i] for i in sorted({0, len(paths) // 2, len(paths) - 1})]
     costs: dict[str, float] = {}
-    fitting = [one for one in LAYOUTS.values() if not any(size % one.record for size in sizes)]
+    known = {**LAYOUTS, **{one.name: one for one in SWAPPED}}
+    fitting = [one for one in known.values() if not any(size % one.record for size in sizes)]
     for layout in fitting:
         found = [_cost(path, layout) for path in looked_at]
         if np.isfinite(found).all():
             costs[layout.name] = float(np.mean(found))
     if not costs:
         which = ", ".join(f"{one.name} ({one.record} bytes)" for one in LAYOUTS.values())
-        swapped = " (they are, with the bytes of each number swapped)" if _swapped(paths[0]) else ""
         raise DataError(
             f"{paths[0]}: its {sizes[0]} bytes are plausible points in none of the layouts "
-            f"{which}{swapped}: dataset.layout= says which"
+            f"{which}: dataset.layout= says which"
         )
-    best = min(costs, key=lambda name: (round(costs[name], 12), LAYOUTS[name].record))
-    record = LAYOUTS[best].record
+    best = min(costs, key=lambda name: (round(costs[name], 12), known[name].record))
+    record = known[best].record
     if min(sizes) < FEW * record:
         if "kitti" in costs:
             return "kitti", "too few points to tell"
         raise DataError(f"{paths[0]}: too few points to tell the layout: dataset.layout= says it")
-    noise = DOUBTS / np.sqrt(min(LOOKED_AT, min(sizes) // record) * LAYOUTS[best].fields)
+    noise = DOUBTS / np.sqrt(min(LOOKED_AT, min(sizes) // record) * known[best].fields)
     rivals = [name for name in costs if costs[best] > costs[name] - noise and name != best]
-    rivals = [name for name in rivals if LAYOUTS[name].record % record]
+    rivals = [name for name in rivals if known[name].record % record]
     if rivals:
-        words = " or ".join(f"{n} ({LAYOUTS[n].words})" for n in (best, *rivals))
+        words = " or ".join(f"{n} ({known[n].words})" for n in (best, *rivals))
         raise DataError(f"{paths[0]}: layout {words}? dataset.layout= says which")
-    unlike = min(_cost(paths[0], LAYOUTS[best], shift) for shift in range(1, LAYOUTS[best].fields))
+    unlike = min(_cost(paths[0], known[best], shift) for shift in range(1, known[best].fields))
     if costs[best] > unlike - noise:
         raise DataError(
             f"{paths[0]}: records of {record} bytes ({best}) fit its size, but are "
             "not alike: dataset.layout= says which layout it has"
         )
-    others = [one.name for one in fitting if one.name != best]
+    if best not in LAYOUTS:
+        raise DataError(f"{paths[0]}: {best}: such files are not read")
+    others = [one.name for one in fitting if one.name != best and one.name in LAYOUTS]
     why = f"fields alike from record to record, not as {', '.join(others)}" if others else "size"
     return best, why
 
@@ -153,12 +163,3 @@ def _cost(path: Path, layout: Layout, shift: int = 0) -> float:
     lag = layout.fields + shift
     apart = np.abs(rank[lag:] - rank[:-lag])
     return float(np.mean(apart) - np.mean(apart == 0.0))  # many fields hold the same throughout
-
-
-def _swapped(path: Path) -> bool:
-    """Whether the bytes would be points, were each float32 the other way round."""
-    with path.open("rb") as file:
-        content = file.read(LOOKED_AT * 16)
-    with np.errstate(all="ignore"):
-        values = np.frombuffer(content[: len(content) // 16 * 16], ">f4").astype(np.float64)
-    return bool(len(values) and absurd(values).mean() <= ABSURD_SHARE)

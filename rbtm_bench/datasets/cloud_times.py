@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.association import nearest, span, time_suspicions
 from rbtm_bench.datasets.base import Reading
@@ -17,6 +18,8 @@ from rbtm_bench.datasets.poses_file import read_poses_file
 
 UNITS = {10: 1.0, 13: 1e-3, 16: 1e-6, 19: 1e-9}
 """s in a unit of times since 1970, by their number of digits."""
+CAMERA = 0.9
+"""Share of a path along z from which on it looks like a camera's."""
 ENOUGH = 0.9
 """Share of clouds that must find a pose if their times are only assumed."""
 
@@ -101,9 +104,9 @@ def match_poses(
     """
     file = read_poses_file(path)
     stamps, poses = file.stamps, file.poses
-    suspicions = []
+    suspicions = _of_a_camera(path, poses)
     if stamps is not None:
-        suspicions = [f"{path}: {text}" for text in time_suspicions(stamps, "poses")]
+        suspicions += [f"{path}: {text}" for text in time_suspicions(stamps, "poses")]
         order = np.argsort(stamps, kind="stable")
         stamps, poses = stamps[order], poses[order]
     disjoint = (
@@ -141,6 +144,17 @@ def match_poses(
     at = f", clouds at {rate_hz:g} Hz" if assumed else ""
     taken = f"{count} of {clouds} clouds by time, within {tolerance_s:g} s{at}"
     return Matched(T, None, Reading(role, taken, why, role_setting(role)), tuple(suspicions))
+
+
+def _of_a_camera(path: str, poses: Array) -> list[str]:
+    """A word on poses that move along their z axis, as a camera's do and a laser's do not."""
+    if len(poses) < 2:
+        return []
+    steps = (inverse(poses[:-1]) @ poses[1:])[:, :3, 3]
+    lengths = np.linalg.norm(steps, axis=1)
+    if lengths.sum() > 0 and np.abs(steps[:, 2]).sum() > CAMERA * lengths.sum():
+        return [f"{path}: the poses move along their z axis: a camera's, and not the laser's?"]
+    return []
 
 
 def role_setting(role: str) -> str:

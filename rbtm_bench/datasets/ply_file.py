@@ -73,7 +73,8 @@ def read_ply(path: Path) -> Array:
     points, at = _binary(content, path, element, before, order)
     for other in elements[len(before) + 1 :]:
         at = _behind(content, at, path, other, order)
-    announced(path, 1, at, len(content))
+    if content[at:].strip():
+        raise DataError(f"{path}: {len(content) - at} bytes more than the elements announced")
     return points
 
 
