@@ -74,13 +74,14 @@ class CloudFolder(Dataset):
         self._layout = self._find_layout(files, layout, on_error)
         times = times_of(files)
         self.stamps = np.arange(len(files)) / rate_hz if times is None else times
-        self.readings += (_times_reading(times, rate_hz),)
+        self._times = _times_reading(times, rate_hz)
         match = (len(files), times, rate_hz, tolerance_s)
         self.ground_truth = self._matched(poses, "truth", *match)
         self.odometry = self._matched(odometry, "odometry", *match)
         if self.odometry is not None and not np.isfinite(self.odometry[:max_scans]).all():
             count = np.count_nonzero(np.isfinite(self.odometry).all(axis=(1, 2)))
             raise DataError(f"{odometry}: odometry for {count} of {len(files)} clouds only")
+        self.readings += (self._times,)
         used = [i for i in range(len(files))[:max_scans] if self._usable(files[i], on_error)]
         if not used:
             raise DataError(f"{path}: no usable cloud, {self.skipped} malformed")
@@ -140,6 +141,7 @@ class CloudFolder(Dataset):
         self.suspicions += matched.suspicions
         if matched.stamps is not None and (role == "truth" or self.ground_truth is None):
             self.stamps = matched.stamps
+            self._times = Reading("times", path, "the trajectory's, one a cloud", "")
         return matched.poses
 
     def _samples(self) -> tuple[list[Array], list[Array | None]]:
@@ -216,9 +218,7 @@ class CloudFolder(Dataset):
 def _times_reading(times: Array | None, rate_hz: float) -> Reading:
     if times is not None:
         return Reading("times", "the names of the files", "numbers that are times", "")
-    return Reading(
-        "times", f"{rate_hz:g} Hz", "no times in the names, but for a TUM file's", "rate_hz"
-    )
+    return Reading("times", f"{rate_hz:g} Hz", "no times in the names of the files", "rate_hz")
 
 
 @reader

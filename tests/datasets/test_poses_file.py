@@ -92,7 +92,7 @@ def test_names_are_times(tmp_path: Path) -> None:
     assert data.stamps - 1.7e9 == pytest.approx([10.35, 10.4, 10.45, 10.5])
     known = [scan.ground_truth is not None for scan in data]
     assert known == [True, True, True, False] and data.has_ground_truth
-    assert "3 of 4 clouds by time" in data.readings[1].taken
+    assert any("3 of 4 clouds by time" in reading.taken for reading in data.readings)
     with pytest.raises(DataError, match=r"5 poses for 4 clouds: the clouds are from .*poses from"):
         CloudFolder(str(folder), poses=tum(tmp_path / "u", 1, 2, 3, 4, 5))
     with pytest.raises(DataError, match=r"odometry for 3 of 4 clouds only"):
