@@ -31,3 +31,12 @@ def data_dir() -> Path:
     if os.environ.get("CI") == "true":
         pytest.fail(message)
     pytest.skip(message)
+
+
+@pytest.fixture(scope="session")
+def cases_dir(data_dir: Path) -> Path:
+    """The folder of small inputs that are easily read wrongly, beside that of real logs."""
+    folder = data_dir.parent / "cases"
+    if not folder.is_dir():
+        pytest.skip(f"{folder}: the folder of small cases beside RBTM_BENCH_DATA is not there")
+    return folder

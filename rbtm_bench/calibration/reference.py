@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from rbtm_bench.calibration.track import Track
 from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.types import Array
-from rbtm_bench.datasets.base import Relations, nearest
+from rbtm_bench.datasets.association import nearest
+from rbtm_bench.datasets.base import Relations
 
 Index = NDArray[np.intp]
 

@@ -309,4 +309,6 @@ def overrides_of(command: str, rest: list[str]) -> list[str]:
             raise ConfigError(f"{word}: no such option; see rbtm-bench {command} --help")
         if word.find("=") < 1 and not word.startswith("~"):
             raise ConfigError(f"{word}: expected key=value")
-    return rest
+    from rbtm_bench.cli.words import as_typed
+
+    return as_typed(rest)

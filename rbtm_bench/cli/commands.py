@@ -16,6 +16,7 @@ rbtm-bench: compare scan registration backends and ways to choose the model scan
 usage: rbtm-bench COMMAND [key=value ...] [options]
 
 commands
+  data      what is at a path, and how it is read:  rbtm-bench data aces.clf.gz
   run       one experiment:      rbtm-bench run backend=open3d_gicp selector=rbtm selector.window=20
   compare   a grid, one table:   rbtm-bench compare backend=none,open3d_p2p selector=previous,rbtm
   sweep     Hydra's multirun:    rbtm-bench sweep selector.threshold=0.6,0.7,0.8
@@ -30,6 +31,7 @@ commands
 
 what goes on the command line
   dataset=corridor|carmen|kitti|cloud_folder    group=member chooses a plug-in
+  PATH                                          data, first of all: recognised, with dataset.path
   dataset.path=LOG selector.threshold=0.8       group.key=value sets one of its parameters
   out=DIR                                       where the results go (default: results/...)
   seed=0,1,2                                    lists make a grid (compare, sweep)
@@ -83,9 +85,14 @@ def dispatch(words: list[str]) -> int:
     if command in ("run", "compare", "sweep"):
         from rbtm_bench.cli import runs
 
+        words = runs.as_words(command, words)
         if any(word in HYDRA_FLAGS or word.startswith("--cfg=") for word in words):
             return runs.hydra_itself(words)
         return {"run": runs.run, "compare": runs.compare, "sweep": runs.sweep}[command](words)
+    if command == "data":
+        from rbtm_bench.cli.data import data
+
+        return data(words)
     if command in ("table", "plot"):
         from rbtm_bench.cli import results
 

@@ -17,10 +17,11 @@ COMMANDS = (
     "plot",
     "similarity",
     "calibrate",
+    "data",
     "list",
     "doctor",
 )
-WITH_OVERRIDES = ("run", "compare", "sweep", "similarity", "calibrate")
+WITH_OVERRIDES = ("data", "run", "compare", "sweep", "similarity", "calibrate")
 
 
 def complete(words: list[str]) -> int:

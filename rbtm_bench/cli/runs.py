@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import datetime
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ One experiment: a data set, a backend, a selector; a folder of results and a sum
 examples
   rbtm-bench run                                                   the embedded corridor
   rbtm-bench run backend=open3d_gicp selector=previous seed=3
+  rbtm-bench run aces.clf.gz backend=open3d_p2plane                the data are recognised
   rbtm-bench run dataset=carmen dataset.path=aces.clf.gz dataset.relations=aces.relations
   rbtm-bench run dataset=cloud_folder dataset.path=clouds similarity=virtual_scan
 
@@ -65,6 +67,19 @@ that are done stay as they are. It takes no settings but time_limit, memory_limi
 such as hydra/launcher=joblib."""
 
 
+def as_words(command: str, words: list[str]) -> list[str]:
+    """The words for Hydra: a path in front as the settings that read it, text quoted."""
+    from rbtm_bench.cli.words import as_typed, with_data
+
+    first = words[0] if words else "-"
+    is_path = os.path.exists(first)
+    if command != "sweep" and (is_path or not ("=" in first or first.startswith(("-", "~")))):
+        if not is_path:
+            raise ConfigError(f"{first}: expected key=value, or a path to data (no such file)")
+        words = with_data(words)
+    return as_typed(words)
+
+
 def parse(command: str, text: str, words: list[str]) -> tuple[argparse.Namespace, list[str]]:
     """Our own options and, as they are, the overrides."""
     parser = argparse.ArgumentParser(
@@ -105,6 +120,7 @@ def run(words: list[str]) -> int:
     """``rbtm-bench run``."""
     options, overrides = parse("run", RUN_HELP, words)
     pin_unless_lifted(overrides)  # first of all: numpy sizes its thread pool when it is imported
+    from rbtm_bench.datasets.summary import tell
     from rbtm_bench.report import screen
     from rbtm_bench.runs import experiment
     from rbtm_bench.runs.settings import compose_settings
@@ -113,7 +129,7 @@ def run(words: list[str]) -> int:
     out = Path(settings.config["out"] or default_folder("runs", settings.choices))
     with bar("scans") as progress:
         if settings.config["time_limit"] is None and settings.config["memory_limit"] is None:
-            experiment.run(settings, out, progress.update_to)
+            experiment.run(settings, out, progress.update_to, opened=tell)
         else:
             _run_supervised(settings, out, progress.update_to)
     print(screen.of_run(out))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rbtm_bench.core.types import Array, Scan
 
@@ -26,6 +26,39 @@ class Relations:
 
     def __len__(self) -> int:
         return len(self.start)
+
+
+class Drops:
+    """Points or readings left out of scans, by cause; a scan that is read twice counts once."""
+
+    def __init__(self) -> None:
+        self._of_scan: dict[int, dict[str, int]] = {}
+
+    def note(self, scan: int, **causes: Any) -> None:
+        """Say how many of a scan were left out; ``_`` in a cause stands for a blank."""
+        self._of_scan[scan] = {c.replace("_", " "): int(n) for c, n in causes.items() if n}
+
+    def total(self) -> dict[str, int]:
+        """Counts over all scans read so far."""
+        total: Counter[str] = Counter()
+        for causes in self._of_scan.values():
+            total.update(causes)
+        return dict(sorted(total.items()))
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How something in the data is read, decided from ``why``; ``setting`` says otherwise."""
+
+    what: str
+    taken: str
+    why: str
+    setting: str
+
+    def __str__(self) -> str:
+        words = [self.why, f"else {self.setting}=" if self.setting else ""]
+        aside = "; ".join(filter(None, words))
+        return f"{self.what}: {self.taken}" + (f" ({aside})" if aside else "")
 
 
 class Dataset(ABC):
@@ -47,6 +80,10 @@ class Dataset(ABC):
     """The first scan that is evaluated: replicates begin at different scans of one drive."""
     draw: dict[str, Any] | None = None
     """What a perturbed copy of a data set has been given (``perturbed``), for ``run.json``."""
+    readings: tuple[Reading, ...] = ()
+    """What was decided about the data from the data itself."""
+    suspicions: tuple[str, ...] = ()
+    """What looks wrong with the data, a line each."""
 
     @abstractmethod
     def __len__(self) -> int: ...
@@ -62,6 +99,10 @@ class Dataset(ABC):
     def fingerprint(self) -> str:
         """A hex digest of everything that determines the scans: file bytes and settings."""
 
+    def dropped(self) -> dict[str, int]:
+        """Points or readings of the scans read so far that are in no scan, by cause."""
+        return {}
+
     @property
     def relations(self) -> Relations | None:
         """Reference relations, or None."""
@@ -76,6 +117,9 @@ ATTRIBUTES = (
     "skipped",
     "scored_from",
     "draw",
+    "readings",
+    "suspicions",
+    "dropped",
 )
 """What a data set that wraps another takes over from it."""
 
@@ -85,23 +129,3 @@ def beam_points(ranges: Array, angles: Array) -> Array:
     hit = np.isfinite(ranges)
     r, a = ranges[hit], angles[hit]
     return np.column_stack([r * np.cos(a), r * np.sin(a), np.zeros(len(r))])
-
-
-def nearest(stamps: Array, times: Array, tolerance_s: float) -> NDArray[np.intp]:
-    """Index (R,) of the stamp (N,) nearest to each time (R,), -1 if none is within tolerance.
-
-    ``stamps`` (s) in any order; of several equally near the earlier, then the first, is taken.
-    """
-    missing = np.full(len(times), -1, dtype=np.intp)
-    if len(stamps) == 0:
-        return missing
-    order = np.argsort(stamps, kind="stable")
-    ordered = stamps[order]
-    after = np.searchsorted(ordered, times).clip(max=len(stamps) - 1)
-    before = (after - 1).clip(min=0)
-    # Equal stamps sort as they came: step to the first of those before.
-    before = np.searchsorted(ordered, ordered[before])
-    best = np.where(
-        np.abs(ordered[before] - times) <= np.abs(ordered[after] - times), before, after
-    )
-    return np.where(np.abs(ordered[best] - times) <= tolerance_s, order[best], missing)

@@ -1,100 +1,92 @@
-"""Parse CARMEN logs (.log, .clf) and relations files into arrays.
-
-A line of interest is one of
-
-    FLASER n r_1..r_n x y theta odom_x odom_y odom_theta ipc_timestamp host logger_timestamp
-    ODOM x y theta tv rv accel ipc_timestamp host logger_timestamp
-    PARAM name value ...
-
-and everything else is left alone.
-"""
+"""Parse CARMEN logs (.log, .clf) and relations files into arrays; ``carmen_messages`` are the
+lines of interest, everything else is left alone."""
 
 from __future__ import annotations
 
-import math
 import os
 import tempfile
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench.core.errors import DataError
+from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Relations
+from rbtm_bench.datasets.carmen_messages import (
+    FARTHEST,
+    LASERS,
+    Laser,
+    Line,
+    Message,
+    read_laser,
+    read_odom,
+)
 from rbtm_bench.datasets.files import data_lines, quoted, to_numbers
 
-BEAM_ANGLES_DEG: dict[int, tuple[float, float]] = {
-    180: (-90.0, 1.0),
-    181: (-90.0, 1.0),
-    360: (-90.0, 0.5),
-    361: (-90.0, 0.5),
-}
-"""First angle and spacing (deg) of the laser set-ups known by their number of readings."""
+SAMPLE = 1 << 22
+"""Readings that are looked at to find out what a value means."""
 
-KNOWN_COUNTS = ", ".join(map(str, BEAM_ANGLES_DEG))
-_COUNTS = {str(count).encode(): count for count in BEAM_ANGLES_DEG}
-TAIL_WORDS = 9
-ODOM_WORDS = 10
-SENSOR_MAX_PARAM = "robot_front_laser_max"
+_LASERS = {name.encode(): name for name in LASERS}
 
 
 @dataclass(frozen=True, eq=False)
 class CarmenLog:
-    """The FLASER lines of a log (S of them, in file order) and the ODOM lines around them.
+    """The scans of one laser of a log (S of them, in file order) and the ODOM lines around them.
 
-    ``ranges`` the readings (B,) of each scan, m as written; ``laser_poses`` and ``robot_poses``
-    (S, 3) the two pose triples (x, y, theta; m, rad); ``stamps`` (S,) s the ipc_timestamp;
-    ``lines`` (S,) line numbers. ``odom`` (O, 3) holds the poses of the ODOM lines.
-    ``odom_before`` (F,) says how many of them precede each FLASER line, malformed ones included,
-    and ``good`` (S,) which of those F lines the S scans are. ``sensor_max`` (m) is the log's own
-    PARAM, if it has one. ``skipped`` counts malformed lines that were left out.
+    ``message`` the kind of line, ``laser`` what it says of the laser, if anything; ``ranges`` the
+    readings (B,) of each scan as written; ``laser_poses`` and ``robot_poses`` (S, 3) its two pose
+    triples (x, y, theta; m, rad), or None; ``stamps`` (S,) s the ipc_timestamp; ``lines`` (S,)
+    line numbers. ``odom`` (O, 3) and ``odom_stamps`` (O,) hold the ODOM lines. ``odom_before``
+    (F,) says how many of them precede each scan's line, malformed ones included, and ``good``
+    (S,) which of those F lines the S scans are. ``params`` are the PARAM lines that tell of
+    lasers. ``others`` counts the lines of other lasers, ``words`` those of other kinds.
+    ``skipped`` counts malformed lines that were left out.
     """
 
+    message: str
+    laser: Laser | None
     ranges: RangeFile
-    laser_poses: Array
-    robot_poses: Array
+    laser_poses: Array | None
+    robot_poses: Array | None
     stamps: Array
     lines: NDArray[np.int64]
     odom: Array
+    odom_stamps: Array
     odom_before: NDArray[np.int64]
     good: NDArray[np.int64]
-    sensor_max: float | None
+    params: dict[str, str]
+    others: dict[str, int]
+    words: dict[str, int]
     skipped: int
+
+    def param(self, *names: str) -> float | None:
+        """The first of these PARAMs that is set to a number."""
+        for name in names:
+            try:
+                return float(self.params[name])
+            except (KeyError, ValueError):
+                continue
+        return None
 
 
 class RangeFile:
-    """The readings of a log's scans, in a temporary file: memory does not grow with the log.
-
-    ``longest`` is the longest finite reading (m), ``longest_count`` how often it occurs among
-    ``finite_count`` finite ones.
-    """
+    """The readings of a log's scans, in a temporary file: memory does not grow with the log."""
 
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile(prefix="rbtm_bench-")  # noqa: SIM115 (kept open)
         self.beams = 0
         self.count = 0
-        self.longest, self.longest_count, self.finite_count = -math.inf, 0, 0
 
     def __len__(self) -> int:
         return self.count
 
     def append(self, readings: list[float]) -> None:
         """Add a scan's readings (B,)."""
-        row = np.array(readings)
-        self._file.write(row.tobytes())
-        self.beams, self.count = len(row), self.count + 1
-        finite = row[np.isfinite(row)]
-        self.finite_count += len(finite)
-        if len(finite) == 0:
-            return
-        longest = float(finite.max())
-        if longest > self.longest:
-            self.longest, self.longest_count = longest, 0
-        if longest == self.longest:
-            self.longest_count += int(np.count_nonzero(finite == longest))
+        self._file.write(np.array(readings).tobytes())
+        self.beams, self.count = len(readings), self.count + 1
 
     def __getitem__(self, scan: int) -> Array:
         """The readings (B,) of a scan, in order of the file; an array of the caller's own."""
@@ -103,14 +95,38 @@ class RangeFile:
             self._file.flush()
         return np.frombuffer(os.pread(self._file.fileno(), size, size * scan)).copy()
 
+    def sample(self) -> Array:
+        """The readings (K, B) of all scans, or of as many, evenly spread, as are enough."""
+        stride = -(-self.count * self.beams // SAMPLE)
+        return np.stack([self[scan] for scan in range(0, self.count, stride)])
 
-def parse_log(path: str, lines: Iterable[bytes], on_error: Literal["raise", "skip"]) -> CarmenLog:
+
+@dataclass
+class _Table:
+    """The scans of one kind of message while they are collected."""
+
+    ranges: RangeFile = field(default_factory=RangeFile)
+    laser: Laser | None = None
+    poses: list[list[float]] = field(default_factory=list)
+    stamps: list[float] = field(default_factory=list)
+    lines: list[int] = field(default_factory=list)
+    odom_before: list[int] = field(default_factory=list)
+    good: list[int] = field(default_factory=list)
+
+
+def parse_log(
+    path: str,
+    lines: Iterable[bytes],
+    on_error: Literal["raise", "skip"],
+    message: str = "auto",
+) -> CarmenLog:
     """Parse the lines of a log; ``path`` only serves the messages.
 
-    Raises ``DataError`` with file, line and field for the first malformed line, unless
-    ``on_error`` is "skip"; and always if no FLASER line can be used.
+    ``message`` is the kind of lines to take the scans from, "auto" for the one to be preferred of
+    those that there are. Raises ``DataError`` with file, line and field for the first malformed
+    line, unless ``on_error`` is "skip"; and always if no line with readings can be used.
     """
-    reader = _Reader(path)
+    collector = _Collector(path)
     for number, line in enumerate(lines, start=1):
         if b"\0" in line:
             raise DataError(f"{path}: not a CARMEN log (binary data)")
@@ -118,107 +134,102 @@ def parse_log(path: str, lines: Iterable[bytes], on_error: Literal["raise", "ski
         if not words:
             continue
         try:
-            reader.read(number, words)
+            collector.read(Line(path, number, words))
         except DataError as error:
             if on_error == "raise":
                 raise
-            reader.note(error)
-    return reader.log()
+            collector.note(error)
+    return collector.log(message)
 
 
-class _Reader:
+class _Collector:
     """Collects the lines of one log."""
 
     def __init__(self, path: str) -> None:
         self.path = path
-        self.count: int | None = None
-        self.ranges = RangeFile()
-        self.tails: list[list[float]] = []
-        self.lines: list[int] = []
+        self.tables: dict[str, _Table] = {}
         self.odom: list[list[float]] = []
-        self.odom_before: list[int] = []
-        self.good: list[int] = []
-        self.sensor_max: float | None = None
+        self.params: dict[str, str] = {}
+        self.words: dict[str, int] = {}
         self.skipped = 0
         self.first_error: DataError | None = None
 
-    def read(self, number: int, words: list[bytes]) -> None:
-        keyword = words[0]
-        if keyword == b"FLASER":
-            self.odom_before.append(len(self.odom))
-            self._read_flaser(number, words)
+    def read(self, line: Line) -> None:
+        keyword = line.words[0]
+        if keyword in _LASERS:
+            self._add(line, self.tables.setdefault(_LASERS[keyword], _Table()))
         elif keyword == b"ODOM":
-            self.odom.append(self._read_odom(number, words))
-        elif keyword == b"PARAM" and len(words) > 2 and words[1] == SENSOR_MAX_PARAM.encode():
-            self.sensor_max = self._numbers(number, SENSOR_MAX_PARAM, words[2:3])[0]
+            self.odom.append(read_odom(line))
+        elif keyword == b"PARAM" and len(line.words) > 2 and b"laser" in line.words[1]:
+            self._set(line)
+        elif keyword.isalpha():
+            word = keyword[:20].decode("latin-1")
+            if word in self.words or len(self.words) < 100:
+                self.words[word] = self.words.get(word, 0) + 1
+
+    def _set(self, line: Line) -> None:
+        name = line.words[1].decode("latin-1")
+        if name == SENSOR_MAX_PARAM:
+            line.numbers(name, 2, 1)
+        self.params[name] = line.words[2].decode("latin-1")
 
     def note(self, error: DataError) -> None:
         self.skipped += 1
         self.first_error = self.first_error or error
 
-    def _read_flaser(self, number: int, words: list[bytes]) -> None:
-        count = self._count(number, words)
-        expected = 2 + count + TAIL_WORDS
-        if len(words) != expected:
-            raise DataError.at(
-                self.path,
-                number,
-                "FLASER",
-                f"{expected} words for {count} readings, {len(words)} found",
-            )
-        ranges = self._numbers(number, "range", words[2 : 2 + count], finite=False)
-        tail = self._numbers(number, "pose", words[2 + count : 8 + count])
-        tail += self._numbers(number, "ipc_timestamp", words[8 + count : 9 + count])
-        self.count = count
-        self.ranges.append(ranges)
-        self.tails.append(tail)
-        self.lines.append(number)
-        self.good.append(len(self.odom_before) - 1)
+    def _add(self, line: Line, table: _Table) -> None:
+        table.odom_before.append(len(self.odom))
+        scan: Message = read_laser(line)
+        beams = table.ranges.beams
+        if beams and len(scan.ranges) != beams:
+            found = quoted(str(len(scan.ranges)).encode())
+            raise line.wrong("number of readings", f"{beams} as before, {found}")
+        if table.laser is not None and table.laser != scan.laser:
+            raise line.wrong("laser", f"the settings of the scans before, {table.laser}")
+        table.laser = scan.laser
+        table.ranges.append(scan.ranges)
+        if scan.poses is not None:
+            table.poses.append(scan.poses)
+        table.stamps.append(scan.stamp)
+        table.lines.append(line.number)
+        table.good.append(len(table.odom_before) - 1)
 
-    def _count(self, number: int, words: list[bytes]) -> int:
-        word = words[1] if len(words) > 1 else b""
-        count = _COUNTS.get(word)
-        if count is None:
-            raise DataError.at(
-                self.path, number, "number of readings", f"one of {KNOWN_COUNTS}, {quoted(word)}"
-            )
-        if self.count is not None and count != self.count:
-            raise DataError.at(
-                self.path, number, "number of readings", f"{self.count} as before, {quoted(word)}"
-            )
-        return count
-
-    def _read_odom(self, number: int, words: list[bytes]) -> list[float]:
-        if len(words) != ODOM_WORDS:
-            raise DataError.at(self.path, number, "ODOM", f"{ODOM_WORDS} words, {len(words)} found")
-        return self._numbers(number, "pose", words[1:4])
-
-    def _numbers(
-        self, number: int, field: str, words: list[bytes], finite: bool = True
-    ) -> list[float]:
-        return to_numbers(self.path, number, field, words, finite)
-
-    def log(self) -> CarmenLog:
-        if len(self.ranges) == 0:
+    def log(self, message: str) -> CarmenLog:
+        usable = [name for name in LASERS if name in self.tables and self.tables[name].stamps]
+        if not usable:
             if self.first_error is None:
-                raise DataError(f"{self.path}: not a CARMEN log (no FLASER line)")
+                others = ", ".join(LASERS[1:3])
+                raise DataError(f"{self.path}: not a CARMEN log (no FLASER line, nor {others})")
             raise DataError(
-                f"{self.path}: no usable FLASER line, {self.skipped} malformed; "
+                f"{self.path}: no usable line with readings, {self.skipped} malformed; "
                 f"the first: {self.first_error}"
             )
-        tails = np.array(self.tails)
+        if message != "auto" and message not in usable:
+            raise ConfigError(f"{self.path}: no {message} line, there are {', '.join(usable)}")
+        name = usable[0] if message == "auto" else message
+        table = self.tables[name]
+        poses = np.array(table.poses) if table.poses else None
+        odom = np.array(self.odom).reshape(-1, 4)
         return CarmenLog(
-            ranges=self.ranges,
-            laser_poses=tails[:, :3],
-            robot_poses=tails[:, 3:6],
-            stamps=tails[:, 6],
-            lines=np.array(self.lines),
-            odom=np.array(self.odom).reshape(-1, 3),
-            odom_before=np.array(self.odom_before),
-            good=np.array(self.good),
-            sensor_max=self.sensor_max,
+            message=name,
+            laser=table.laser,
+            ranges=table.ranges,
+            laser_poses=None if poses is None else poses[:, :3],
+            robot_poses=None if poses is None else poses[:, 3:6],
+            stamps=np.array(table.stamps),
+            lines=np.array(table.lines),
+            odom=odom[:, :3],
+            odom_stamps=odom[:, 3],
+            odom_before=np.array(table.odom_before),
+            good=np.array(table.good),
+            params=self.params,
+            others={other: len(self.tables[other].stamps) for other in usable if other != name},
+            words=self.words,
             skipped=self.skipped,
         )
+
+
+SENSOR_MAX_PARAM = "robot_front_laser_max"
 
 
 def parse_relations(path: str, content: bytes) -> Relations:
@@ -233,7 +244,8 @@ def parse_relations(path: str, content: bytes) -> Relations:
         if len(words) != 8:
             expected = "8 numbers t1 t2 x y z roll pitch yaw"
             raise DataError.at(path, number, "relation", f"{expected}, {len(words)} words found")
-        rows.append(to_numbers(path, number, "relation", words))
+        times = to_numbers(path, number, "relation", words[:2])
+        rows.append(times + to_numbers(path, number, "relation", words[2:], largest=FARTHEST))
     if not rows:
         raise DataError(f"{path}: no relation in the file")
     table = np.array(rows)

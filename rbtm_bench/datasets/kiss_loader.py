@@ -21,7 +21,9 @@ from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.geometry import is_rigid
 from rbtm_bench.core.trajectory import orthonormalised
 from rbtm_bench.core.types import Array, Scan
-from rbtm_bench.datasets.base import Dataset
+from rbtm_bench.datasets.base import Dataset, Drops
+from rbtm_bench.datasets.cloud_files import usable
+from rbtm_bench.datasets.files import reader
 
 VERSION = "kiss-loader-1"
 """Part of the fingerprint: change it whenever the same files and settings give other scans."""
@@ -74,7 +76,8 @@ class KissDataset(Dataset):
     ``settings`` are those that change the scans, for the fingerprint. ``truth`` (M, 4, 4) holds
     the loader's poses T_world_sensor by frame number, None if it has none; only the frames from
     the first to the last of ``truth_frames`` (all by default) get them. Points that are not
-    finite, not farther than ``min_range`` (m) or not nearer than ``max_range`` (m) are dropped.
+    finite, implausible, not farther than ``min_range`` (m) or not nearer than ``max_range`` (m)
+    are dropped and counted.
     Raises ``DataError`` for a pose that is no rigid motion, and at ``dataset[i]`` for a scan
     that cannot be read or has no point left.
     """
@@ -101,6 +104,7 @@ class KissDataset(Dataset):
         self.has_ground_truth = bool(self.ground_truth)
         self._name, self._loader = name, loader
         self._settings = [VERSION, name, self.min_range, self.max_range, *settings]
+        self._drops = Drops()
         self._fingerprint: str | None = None
 
     def __len__(self) -> int:
@@ -111,7 +115,7 @@ class KissDataset(Dataset):
             raise IndexError(f"scan {index} of {len(self)}")
         frame = self.frames[index]
         truth = self.ground_truth.get(frame.number)
-        return Scan(index, frame.stamp, self._points(frame), ground_truth=truth)
+        return Scan(index, frame.stamp, self._points(index), ground_truth=truth)
 
     def fingerprint(self) -> str:
         """sha256 of the scans' files, stamps, truth and settings; reads every file once."""
@@ -125,15 +129,16 @@ class KissDataset(Dataset):
             self._fingerprint = digest.hexdigest()
         return self._fingerprint
 
-    def _points(self, frame: Frame) -> Array:
+    def _points(self, index: int) -> Array:
+        frame = self.frames[index]
         read, _ = quietly(self._name, frame.file, lambda: self._loader[frame.position])
         points = np.asarray(read, dtype=np.float64)
-        distance = np.linalg.norm(points, axis=1)
-        # NaN and infinity fail both comparisons
-        kept: Array = points[(distance > self.min_range) & (distance < self.max_range)]
-        if len(kept) == 0:
-            raise DataError(f"{frame.file}: no point within range ({len(points)} in the file)")
+        kept, causes = usable(frame.file, points, self.min_range, self.max_range)
+        self._drops.note(index, **causes)
         return kept
+
+    def dropped(self) -> dict[str, int]:
+        return self._drops.total()
 
 
 def _rigid(T: Array, frame: Frame) -> Array:
@@ -142,9 +147,7 @@ def _rigid(T: Array, frame: Frame) -> Array:
     return orthonormalised(np.asarray(T, dtype=np.float64))
 
 
+@reader
 def _file_digest(file: Path) -> bytes:
-    try:
-        with open(file, "rb") as content:
-            return hashlib.file_digest(content, "sha256").digest()
-    except OSError as error:
-        raise DataError(f"{file}: {error.strerror or error}") from None
+    with open(file, "rb") as content:
+        return hashlib.file_digest(content, "sha256").digest()

@@ -10,13 +10,13 @@ from annotated_types import Ge, Gt
 
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.geometry import is_rigid, se3
+from rbtm_bench.core.types import Array
+from rbtm_bench.datasets.association import time_suspicions
+from rbtm_bench.datasets.base import Reading
 from rbtm_bench.datasets.cloud_files import check_file
 from rbtm_bench.datasets.files import data_lines, read_bytes, to_numbers
-from rbtm_bench.datasets.kiss_loader import Frame, KissDataset, open_loader
-from rbtm_bench.datasets.poses_file import read_poses
-
-SEQUENCES_WITH_POSES = 11
-"""Sequences from this number on are for KITTI's evaluation server: their poses are not public."""
+from rbtm_bench.datasets.kiss_loader import Frame, KissDataset, quietly
+from rbtm_bench.datasets.poses_file import KITTI_COLUMNS, read_poses
 
 CALIBRATION_TOLERANCE = 1e-3
 """How far Tr's rotation may be from an exact one."""
@@ -26,7 +26,8 @@ Index = Annotated[int, Ge(0)]
 
 class Kitti(KissDataset):
     """A sequence in KITTI's layout: ``path``/sequences/00/velodyne/000000.bin with calib.txt and
-    times.txt beside it, and ``path``/poses/00.txt (sequences 0 to 10).
+    times.txt beside it. Poses, if there are any, are in ``path``/poses/00.txt
+    (KITTI's own layout) or ``path``/sequences/00/poses.txt (SemanticKITTI's).
 
     A frame's number is its file's name: a folder may hold any of a sequence's frames, with times
     and poses of all. The official poses are the left camera's; KISS-ICP's loader brings them into
@@ -59,18 +60,15 @@ class Kitti(KissDataset):
         name = f"{sequence:02d}"
         folder = _sequence_folder(Path(path), name)
         scans = _scan_files(folder / "velodyne")
-        _check_calibration(folder / "calib.txt")
+        Tr = _calibration(folder / "calib.txt")
         stamps = _read_times(folder / "times.txt")
-        has_poses = sequence < SEQUENCES_WITH_POSES
-        poses = Path(path) / "poses" / f"{name}.txt"
-        count = len(read_poses(_existing(poses, "the official poses"))[1]) if has_poses else None
         last = scans[-1][0]
         _require(folder / "times.txt", len(stamps), "times", last)
-        if count is not None:
-            _require(poses, count, "poses", last)
-        loader = open_loader("kitti", path, sequence=name)
-        if not correct_scans:
-            loader.correct_kitti_scan = _as_it_is
+        poses = _poses_file(Path(path), folder, name)
+        truth = None if poses is None else _laser_poses(poses, Tr)
+        if poses is not None and truth is not None:
+            _require(poses, len(truth), "poses", last)
+        loader = _open(path, name, correct_scans)
         frames = [
             Frame(number, position, file, stamps[number])
             for position, (number, file) in enumerate(scans)
@@ -80,11 +78,50 @@ class Kitti(KissDataset):
             loader,
             frames,
             [correct_scans],
-            loader.gt_poses if has_poses else None,
+            truth,
             ground_truth_frames,
             min_range,
             max_range,
         )
+        what = "none" if poses is None else f"{poses}, by Tr in the laser's frame"
+        self.readings = (Reading("truth", what, "" if poses else "no file of poses", ""),)
+        self.suspicions = tuple(time_suspicions(np.array([frame.stamp for frame in frames])))
+
+
+def _open(path: str, name: str, correct_scans: bool) -> Any:
+    """KISS-ICP's loader, but for its poses, which it would only find in one place."""
+
+    def make() -> Any:
+        from kiss_icp.datasets.kitti import KITTIOdometryDataset
+
+        class Loader(KITTIOdometryDataset):  # type: ignore[misc]
+            def load_poses(self, poses_file: str) -> None:
+                return None
+
+        return Loader(path, sequence=name)
+
+    loader = quietly("kitti", path, make)
+    if not correct_scans:
+        loader.correct_kitti_scan = _as_it_is
+    return loader
+
+
+def _poses_file(path: Path, folder: Path, name: str) -> Path | None:
+    """KITTI's own place for the poses, or SemanticKITTI's; None if there are none."""
+    places = (path / "poses" / f"{name}.txt", folder / "poses.txt")
+    return next((place for place in places if place.is_file()), None)
+
+
+def _laser_poses(path: Path, Tr: Array) -> Array:
+    """The poses of the left camera as those of the laser, with KISS-ICP's own arithmetic."""
+    read_poses(path)  # says what is wrong, and where
+    rows = [to_numbers(path, line, "pose", words) for line, words in data_lines(read_bytes(path))]
+    if len(rows[0]) != KITTI_COLUMNS:
+        raise DataError(f"{path}: expected 12 numbers a pose, found {len(rows[0])}")
+    camera = np.tile(np.eye(4), (len(rows), 1, 1))
+    camera[:, :3] = np.array(rows).reshape(-1, 3, 4)
+    left = np.einsum("...ij,...jk->...ik", np.linalg.inv(Tr), camera)
+    return np.asarray(np.einsum("...ij,...jk->...ik", left, Tr))
 
 
 def _as_it_is(points: Any) -> Any:
@@ -105,7 +142,7 @@ def _scan_files(folder: Path) -> list[tuple[int, Path]]:
     """Frame numbers and files, in the order of the loader (that of names); every size checked."""
     if not folder.is_dir():
         raise DataError(f"{folder}: no such folder: expected the scans 000000.bin, 000001.bin, ...")
-    files = sorted(folder.glob("*.bin"))
+    files = sorted(file for file in folder.glob("*.bin") if not file.name.startswith("."))
     if not files:
         raise DataError(f"{folder}: no .bin file: expected the scans 000000.bin, 000001.bin, ...")
     for file in files:
@@ -118,7 +155,8 @@ def _scan_files(folder: Path) -> list[tuple[int, Path]]:
     return scans
 
 
-def _check_calibration(path: Path) -> None:
+def _calibration(path: Path) -> Array:
+    """The motion Tr (4, 4), camera from laser, in single precision as the loader has it."""
     for line, words in data_lines(read_bytes(_existing(path, "the line Tr: and 12 numbers"))):
         if words[0] == b"Tr:":
             values = to_numbers(path, line, "Tr", words[1:])
@@ -127,7 +165,7 @@ def _check_calibration(path: Path) -> None:
             Tr = np.array(values).reshape(3, 4)
             if not is_rigid(se3(Tr[:, 3], Tr[:, :3]), CALIBRATION_TOLERANCE):
                 raise DataError.at(path, line, "Tr", "a rigid motion [R t], camera from laser")
-            return
+            return se3(Tr[:, 3].astype(np.float32), Tr[:, :3].astype(np.float32))
     raise DataError(f"{path}: expected a line Tr: with 12 numbers, the camera from the laser")
 
 
@@ -137,7 +175,7 @@ def _read_times(path: Path) -> list[float]:
     for line, words in data_lines(read_bytes(_existing(path, "the frames' times"))):
         if len(words) != 1:
             raise DataError.at(path, line, "time", f"1 number, {len(words)} found")
-        times += to_numbers(path, line, "time", words)
+        times += to_numbers(path, line, "time", words, largest=1e12)
     return times
 
 

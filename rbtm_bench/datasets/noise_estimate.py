@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
 from rbtm_bench.core.types import Array
-from rbtm_bench.datasets.base import Dataset, Relations, nearest
+from rbtm_bench.datasets.association import nearest
+from rbtm_bench.datasets.base import Dataset, Relations
 
 TO_SIGMA = 1.0 / 0.6745
 """From the median of absolute values to a normal distribution's standard deviation."""

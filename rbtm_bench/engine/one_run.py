@@ -9,6 +9,7 @@ from typing import Any
 
 from rbtm_bench.core.errors import RbtmBenchError, RunError
 from rbtm_bench.core.files import write_json
+from rbtm_bench.datasets import summary
 from rbtm_bench.engine import sweep_folder
 from rbtm_bench.engine.child import end_left_processes
 from rbtm_bench.runs import experiment, provenance
@@ -41,6 +42,7 @@ def check_data(points: Sequence[Point]) -> dict[str, int]:
             opened.clear()  # one data set in memory at a time
             opened[key] = experiment.build(config["dataset"])
             scans[key] = len(opened[key])
+            summary.tell(opened[key])
         groups = ("backend", "guess", "similarity", "selector", "check")
         fit = repr((key, [config.get(group) for group in groups]))
         if fit not in checked:

@@ -92,7 +92,7 @@ class Asked:
             raise ConfigError(f"--resume {folder}: no {what} was begun there (no {FILE} in it)")
         try:
             asked = cls(**json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError) as error:
+        except (OSError, ValueError, TypeError, RecursionError) as error:
             raise DataError(f"{path}: cannot be read: {error}") from error
         if kind and asked.kind != kind:
             raise ConfigError(

@@ -17,7 +17,8 @@ from rbtm_bench.core.columns import family
 from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
 from rbtm_bench.core.trajectory import Mask, Trajectory
 from rbtm_bench.core.types import Array
-from rbtm_bench.datasets.base import Relations, nearest
+from rbtm_bench.datasets.association import nearest
+from rbtm_bench.datasets.base import Relations
 from rbtm_bench.metrics.base import Metric, Values
 from rbtm_bench.metrics.relation_errors import RelationErrors
 

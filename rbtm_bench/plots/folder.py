@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array
+from rbtm_bench.datasets.files import UNPACKED_ALWAYS, UNPACKED_TIMES
 from rbtm_bench.runs.occupancy import Occupancy
 from rbtm_bench.runs.stored import Run
 
@@ -143,12 +145,30 @@ def _npz(path: Path, names: tuple[str, ...], optional: bool = False) -> list[NDA
     if not path.is_file():
         return None
     try:
-        with np.load(path) as archive:
+        with zipfile.ZipFile(path) as packed, np.load(path) as archive:
             if optional and names[0] not in archive:
                 return None
+            for name in names:
+                _hold_to_size(path, packed, name)
             return [archive[name] for name in names]
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except DataError:
+        raise
+    except Exception as error:  # numpy evaluates headers, zlib has errors of its own
         raise DataError(f"{path}: not readable: {_line(error)}") from error
+
+
+def _hold_to_size(path: Path, packed: zipfile.ZipFile, name: str) -> None:
+    """Refuse an array whose header promises more than its member of the archive holds."""
+    member = packed.getinfo(f"{name}.npy")
+    if member.file_size > UNPACKED_TIMES * member.compress_size + UNPACKED_ALWAYS:
+        raise DataError(f"{path}: {name} unpacks to {member.file_size} bytes, refused")
+    with packed.open(member) as file:
+        version = np.lib.format.read_magic(file)
+        old = version == (1, 0)
+        read = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(file)
+    if math.prod(shape) * dtype.itemsize > member.file_size:
+        raise DataError(f"{path}: {name} {shape} announced, {member.file_size} bytes in the file")
 
 
 def _line(error: Exception) -> str:

@@ -85,10 +85,15 @@ class Bench(Protocol):
 
 
 def run(
-    settings: Settings, out: Path, progress: Progress | None = None, bench: Bench | None = None
+    settings: Settings,
+    out: Path,
+    progress: Progress | None = None,
+    bench: Bench | None = None,
+    opened: Callable[[Dataset], object] | None = None,
 ) -> dict[str, Any]:
     """Run one experiment into the folder ``out`` and return its ``run.json``.
 
+    ``opened`` is called with the data set before it is read.
     With a ``bench`` the plug-ins answer from what earlier runs of the process have computed.
     Raises ``ConfigError``/``DataError`` before anything is written if the settings or the data
     are at fault. Once started, any failure is written to ``run.json`` with its reason and then
@@ -99,6 +104,8 @@ def run(
     core = pin_to_free_core() if settings.config["pin"] else None
     parts = bench.parts(settings) if bench else instantiate(settings)
     record = provenance.of_run(settings, parts.dataset, core)
+    if opened:
+        opened(parts.dataset)
     with claimed(out, overwrite):
         clear(out)
         write_config(out, settings)
@@ -114,6 +121,7 @@ def _recorded(
         record |= _execute(parts, settings, out, progress)
         _refuse_changes(parts, settings)
         record["status"] = "done"
+        record["dropped_points"] = parts.dataset.dropped()
     except BaseException as error:
         record["status"], record["reason"] = "failed", reason(error, settings)
         record["traceback"] = trace_of(error)

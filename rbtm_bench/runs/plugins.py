@@ -126,7 +126,8 @@ def check_node(name: str, node: Any) -> None:
                 continue
             known = [k for k, p in parameters.items() if p.kind is not p.VAR_KEYWORD]
             raise ConfigError(f"{name}.{key}: no such setting.{suggestion(key, known)}")
-        check_value(f"{name}.{key}", value, parameters[key].annotation)
+        node[key] = _whole(value, parameters[key].annotation)
+        check_value(f"{name}.{key}", node[key], parameters[key].annotation)
     if node.get("_partial_") or node.get("_args_"):
         return
     for key, parameter in parameters.items():
@@ -136,6 +137,25 @@ def check_node(name: str, node: Any) -> None:
         )
         if required and key not in given:
             raise ConfigError(f"{name}.{key} is not set: {node['_target_']} requires it")
+
+
+def _whole(value: Any, annotation: Any) -> Any:
+    """A whole number typed as 00 or 1e3, which Hydra takes for a word or a float, where the
+    annotation takes whole numbers alone; anything else as it is."""
+    typed = isinstance(value, str) and value.isascii() and value.isdigit() and value[0] == "0"
+    if not typed and not (isinstance(value, float) and value.is_integer()):
+        return value
+    if _fits(value, annotation) or not _fits(int(value), annotation):
+        return value
+    return int(value)
+
+
+def _fits(value: Any, annotation: Any) -> bool:
+    try:
+        check_value("", value, annotation)
+    except ConfigError:
+        return False
+    return True
 
 
 def check_value(name: str, value: Any, annotation: Any) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rbtm_bench import __version__
+from rbtm_bench.datasets import summary
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.runs.replicate import moved_settings
 from rbtm_bench.runs.settings import Settings
@@ -36,6 +37,7 @@ def of_run(settings: Settings, dataset: Dataset | None, core: int | None) -> dic
         "replicate": None if dataset is None else _replicate(settings, dataset),
         "scans": len(dataset) if dataset is not None else None,
         "skipped_records": dataset.skipped if dataset is not None else None,
+        "readings": summary.head(dataset) if dataset is not None else [],
         "dataset_fingerprint": dataset.fingerprint() if dataset is not None else None,
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "core": core,

@@ -200,7 +200,10 @@ def from_hydra(cfg: DictConfig, overrides: tuple[str, ...] = ()) -> Settings:
         {group: choices[group] for group in GROUPS if group in choices},
         overrides,
     )
-    check(settings.config)
+    try:
+        check(settings.config)
+    except ConfigError as error:
+        raise ConfigError(_as_typed(str(error), overrides)) from error
     if is_system(settings.config):
         settings = _of_system(settings)
     return replace(
@@ -208,6 +211,20 @@ def from_hydra(cfg: DictConfig, overrides: tuple[str, ...] = ()) -> Settings:
         special=special_settings(plain, settings.config),
         idle=idle_settings(settings.config),
     )
+
+
+def _as_typed(text: str, overrides: tuple[str, ...]) -> str:
+    """A message about a number as it was typed (1e3), not as Hydra reads it (1000.0)."""
+    setting, _, rest = text.partition(": ")
+    key, _, value = setting.partition("=")
+    for word in overrides:
+        name, _, typed = word.partition("=")
+        try:
+            if name == key and float(typed) == float(value):
+                return f"{word}: {rest}"
+        except ValueError:
+            continue
+    return text
 
 
 def _of_system(settings: Settings) -> Settings:

@@ -13,7 +13,8 @@ from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.geometry import is_rigid
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.cloud_files import SUFFIXES, read_points
-from rbtm_bench.datasets.cloud_folder import CloudFolder, natural_key
+from rbtm_bench.datasets.cloud_folder import CloudFolder
+from rbtm_bench.datasets.cloud_times import natural_key
 from rbtm_bench.datasets.simulated_hall import write_cloud
 
 POINTS = np.random.default_rng(0).uniform(-5, 5, (100, 3)).astype(np.float32).astype(float)
@@ -92,7 +93,8 @@ def test_natural_order(tmp_path: Path) -> None:
 
 def test_pattern_and_max_scans(folder: Path) -> None:
     write_cloud(folder / "other.ply", POINTS)
-    assert len(CloudFolder(str(folder))) == 3
+    with pytest.raises(DataError, match=r"\.npy and \.ply files: dataset\.pattern='\*\.npy'"):
+        CloudFolder(str(folder))
     assert len(CloudFolder(str(folder), pattern="scan*")) == 2
     assert len(CloudFolder(str(folder), pattern="scan*", max_scans=1)) == 1
     with pytest.raises(DataError, match=r"no \.ply, .* file matches pattern '\*\.xyz'"):
@@ -177,9 +179,10 @@ def test_damaged_files(
     ("damage", "message"),
     [
         (lambda text: text[: len(text) // 2], "."),
-        (lambda text: text[: text.index("7 ")], "100 points announced, 0 readable"),
+        (lambda text: text[: text.index("7 ")], "truncated, 100 points announced"),
         (lambda text: text.rsplit("\n", 3)[0], "100 points announced, 98 readable"),
-        (lambda text: text.replace("\n7 ", "\n7 oops ", 2), "in the points, .*oops"),
+        (lambda text: text.replace("\n7 -", "\n7 oops-", 2), "in the points, .*oops"),
+        (lambda text: text.replace("\n7 ", "\n7 8 ", 2), "point 0: 4 numbers expected, 5 found"),
         (
             lambda text: text.replace("vertex 100", "vertex x").replace("POINTS 100", "POINTS x"),
             "a count, 'x' found",
@@ -205,9 +208,9 @@ def test_damaged_ascii(
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("element vertex", "element face 3\nelement vertex", "vertex as the first element"),
+        ("element vertex", "element face 3\nelement vertex", "100 points announced, 97 readable"),
         ("float x", "complex x", "a type of PLY, 'complex' found"),
-        ("property float x", "property list uchar int i\nproperty float x", "no list"),
+        ("property float x", "property list uchar int i\nproperty float x", "a count, '-*[0-9]"),
         ("ply\n", "plyx\n", "line 1, header: expected ply"),
     ],
 )
@@ -236,8 +239,12 @@ def test_npy_of_another_kind(tmp_path: Path, array: Any, message: str) -> None:
 
 
 def test_what_is_seen_at_opening(folder: Path) -> None:
+    for file in folder.iterdir():
+        file.unlink()
     (folder / "scan3.bin").write_bytes(b"x" * 50)
-    with pytest.raises(DataError, match=r"scan3\.bin: .* 50 bytes are not a multiple of 16"):
+    with pytest.raises(DataError, match=r"scan3\.bin: 50 bytes are no whole number of records"):
+        CloudFolder(str(folder), layout="kitti")
+    with pytest.raises(DataError, match=r"scan3\.bin: its 50 bytes are plausible points in none"):
         CloudFolder(str(folder))
     (folder / "scan3.bin").write_bytes(b"")
     with pytest.raises(DataError, match=r"scan3\.bin: the file is empty"):

@@ -102,6 +102,16 @@ def test_sequences_from_11_on_have_no_truth(kitti: Path) -> None:
     assert len(data) == COUNT and not data.has_ground_truth and data[0].ground_truth is None
 
 
+def test_poses_of_semantic_kitti_and_none(kitti: Path) -> None:
+    before = np.stack([scan.ground_truth for scan in Kitti(str(kitti), 4)])
+    (kitti / "poses" / "04.txt").rename(kitti / "sequences" / "04" / "poses.txt")
+    after = np.stack([scan.ground_truth for scan in Kitti(str(kitti), 4)])
+    np.testing.assert_array_equal(before, after)
+    (kitti / "sequences" / "04" / "poses.txt").unlink()
+    data = Kitti(str(kitti), 4)
+    assert not data.has_ground_truth and data.readings[0].taken == "none"
+
+
 def test_stride_max_scans_and_range(kitti: Path) -> None:
     thinned = Kitti(str(kitti), 4, stride=2, max_scans=2)
     assert [scan.stamp for scan in thinned] == pytest.approx([0.0, 0.2])
@@ -124,7 +134,9 @@ def test_points_that_are_not_finite_are_dropped(kitti: Path) -> None:
     scan.tofile(scan_file(kitti))
     assert len(Kitti(str(kitti), 4)[2].points) == 2
     np.full((3, 4), np.nan, np.float32).tofile(scan_file(kitti))
-    with pytest.raises(DataError, match=r"000002\.bin: no point within range \(3 in the file\)"):
+    with pytest.raises(
+        DataError, match=r"000002\.bin: no point within range \(3 points in the file\)"
+    ):
         Kitti(str(kitti), 4)[2]
 
 
@@ -174,11 +186,10 @@ DAMAGES: dict[str, tuple[Callable[[Path], object], str]] = {
     "no scans": (remove(f"{FOUR}/velodyne"), "velodyne: no such folder: expected the scans"),
     "no calibration": (remove(f"{FOUR}/calib.txt"), "calib.txt: no such file: expected the line"),
     "no times": (remove(f"{FOUR}/times.txt"), "times.txt: no such file: expected"),
-    "no poses": (remove("poses/04.txt"), "04.txt: no such file: expected the official poses"),
     "empty scan": (write(f"{FOUR}/velodyne/000002.bin", ""), "000002.bin: the file is empty"),
     "truncated scan": (
         lambda kitti: scan_file(kitti).write_bytes(scan_file(kitti).read_bytes()[:-3]),
-        "957 bytes are not a multiple of 16",
+        "957 bytes are no whole number of records of 16 bytes",
     ),
     "no Tr": (write(f"{FOUR}/calib.txt", "P0: 1 0\n"), "calib.txt: expected a line Tr: with 12"),
     "short Tr": (write(f"{FOUR}/calib.txt", "Tr: 1 0 0\n"), "line 1, Tr: expected 12 numbers, 3"),

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from rbtm_bench.core.geometry import inverse, se2, se3
 from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.datasets.association import nearest
 from rbtm_bench.datasets.base import Relations
-from rbtm_bench.metrics.relations import RelationError, nearest
+from rbtm_bench.metrics.relations import RelationError
 
 
 def relations(*rows: tuple[float, float, float, float, float]) -> Relations:
