@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
-import numpy as np
 from annotated_types import Gt
 
 from rbtm_bench.check.base import Check
-from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
 from rbtm_bench.core.kinds import Distance, ShareThreshold
+from rbtm_bench.core.rigid import apart
 from rbtm_bench.core.types import Array, RegistrationResult
 
 
@@ -33,11 +33,10 @@ class Gated(Check):
             return "not converged"
         if result.fitness < self.min_fitness:
             return f"fitness {result.fitness:.2f} < {self.min_fitness:g}"
-        correction = inverse(T_guess) @ result.T_target_source
-        distance = float(translation_norm(correction))
+        distance, turn = apart(T_guess, result.T_target_source)
         if distance > self.max_translation:
             return f"{distance:.2f} m from the guess"
-        angle = float(np.degrees(rotation_angle(correction)))
+        angle = math.degrees(turn)
         if angle > self.max_rotation_deg:
             return f"{angle:.0f} deg from the guess"
         return None

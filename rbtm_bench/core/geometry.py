@@ -31,6 +31,10 @@ def se3(translation: ArrayLike, rotation: ArrayLike) -> Array:
 
 def inverse(T: Array) -> Array:
     """The inverse of rigid motions (..., 4, 4), by transposing the rotation."""
+    if T.ndim == 2:  # the same sums with fewer steps: asked several times a scan
+        R_t, out = T[:3, :3].T, np.zeros((4, 4))
+        out[:3, :3], out[:3, 3], out[3, 3] = R_t, -(R_t @ T[:3, 3]), 1.0
+        return out
     R_t = np.swapaxes(T[..., :3, :3], -1, -2)
     out = np.zeros_like(T)
     out[..., :3, :3] = R_t

@@ -33,6 +33,21 @@ def rigidity(T: Array) -> float:
 
 
 @kernel
+def apart(T: Array, other: Array) -> tuple[float, float]:
+    """How far (m, rad) two motions (4, 4) from one frame are apart: the length and the rotation
+    angle of inverse(T) other."""
+    x, y, z = other[0, 3] - T[0, 3], other[1, 3] - T[1, 3], other[2, 3] - T[2, 3]
+    R = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            R[i, j] = T[0, i] * other[0, j] + T[1, i] * other[1, j] + T[2, i] * other[2, j]
+    a, b, c = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    sine = 0.5 * math.sqrt(a * a + b * b + c * c)
+    cosine = 0.5 * (R[0, 0] + R[1, 1] + R[2, 2] - 1.0)
+    return math.sqrt(x * x + y * y + z * z), math.atan2(sine, cosine)
+
+
+@kernel
 def all_finite(points: Array) -> bool:
     """Whether points (N, D) have no NaN and no infinity."""
     for i in range(len(points)):

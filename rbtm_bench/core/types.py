@@ -24,7 +24,9 @@ SCAN_ARRAYS = ("points", "ranges", "angles", "odometry", "ground_truth")
 
 
 def read_only(array: Array) -> Array:
-    """A view of an array that cannot be written into."""
+    """A view of an array that cannot be written into; itself, if it cannot."""
+    if isinstance(array, np.ndarray) and not array.flags.writeable:
+        return array
     view = np.asarray(array).view()
     view.flags.writeable = False
     return view

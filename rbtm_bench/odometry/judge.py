@@ -17,7 +17,7 @@ from rbtm_bench.backends.base import Alignment, Backend, Prepared, checked_align
 from rbtm_bench.backends.plane_index import plane_index
 from rbtm_bench.backends.space_index import SpaceIndex, space_index
 from rbtm_bench.core.geometry import symmetric
-from rbtm_bench.core.rigid import all_finite, rigidity, symmetric_information
+from rbtm_bench.core.rigid import all_finite, apart, rigidity, symmetric_information
 from rbtm_bench.core.types import Array, Localizability, RegistrationResult
 from rbtm_bench.odometry.judge_plane import MATRIX, MAX_MATCHES, MIN_SURFACE, plane_sums
 from rbtm_bench.odometry.judge_space import space_matches, spreads
@@ -92,6 +92,7 @@ def compile_kernels() -> None:
     places, _ = space_matches(*cells, np.eye(3), np.eye(4), 1.0, 1)
     spreads(*cells, places, SURFACE_NEIGHBOURS)
     rigidity(np.eye(4))
+    apart(np.eye(4), np.eye(4))
     symmetric_information(np.eye(6), True)
     all_finite(np.eye(3))
 

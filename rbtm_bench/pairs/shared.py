@@ -18,7 +18,7 @@ import numpy as np
 
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.core.errors import BackendError
-from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
+from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan, read_only
 from rbtm_bench.datasets.base import ATTRIBUTES, Dataset, Relations
 from rbtm_bench.odometry import checked, judge
 from rbtm_bench.odometry.method import Method, Work
@@ -72,6 +72,7 @@ class SharedDataset(Dataset):
     def __init__(self, dataset: Dataset, limit: float, watch: Watch | None = None) -> None:
         self.plain, self.watch = dataset, watch
         self._scans: Bounded[Scan] = Bounded(limit)
+        self._angles: tuple[Array | None, Array | None] = (None, None)
         for name in ATTRIBUTES:
             setattr(self, name, getattr(dataset, name))
 
@@ -81,7 +82,11 @@ class SharedDataset(Dataset):
     def __getitem__(self, index: int) -> Scan:
         scan = self._scans.get(index)
         if scan is None:
-            scan = self.plain[index].read_only()
+            scan = self.plain[index]
+            if scan.angles is not self._angles[0]:  # one view for all: who looks for a change of
+                view = None if scan.angles is None else read_only(scan.angles)  # beams sees none
+                self._angles = (scan.angles, view)
+            scan = replace(scan, angles=self._angles[1]).read_only()
             size = scan.points.nbytes + (0 if scan.ranges is None else scan.ranges.nbytes) + 1000
             self._scans.put(index, scan, size)
         return scan if self.watch is None else self.watch.scan(scan)
