@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Localizability, RegistrationResult
 
-FORMAT = 2
+FORMAT = 3
 """Version of keys, values and the table that holds them."""
 
 
@@ -47,17 +47,20 @@ def pair_key(
     model: tuple[tuple[int, bytes | None], ...],
     scan: int,
     T_guess: NDArray[np.float64],
+    content: bytes = b"",
 ) -> bytes:
     """Key (24 bytes) of one registration, exact to the last bit of the guess (4, 4).
 
-    ``model`` lists the scans of the target: their numbers and the bytes of their poses in it
-    (None for a single scan). The digest (16 bytes) follows 4 bytes of the context and the scan
-    number, so that a sweep writes neighbouring pages: about 5 times faster than at random.
+    ``content`` is a digest of both clouds' points, whatever a data set says of itself. ``model``
+    lists the scans of the target: their numbers and the bytes of their poses in it (None for a
+    single scan). The digest (16 bytes) follows 4 bytes of the context and the scan number, so that
+    a sweep writes neighbouring pages: about 5 times faster than at random.
     """
     guess = np.asarray(T_guess, dtype=np.float64)
     if guess.shape != (4, 4):
         raise ValueError(f"guess {guess.shape}: expected (4, 4)")
-    parts = [struct.pack("<qqq", len(context), len(model), scan), context, guess.tobytes()]
+    sizes = struct.pack("<qqqq", len(context), len(model), scan, len(content))
+    parts = [sizes, context, guess.tobytes(), content]
     for number, T in model:
         parts += struct.pack("<qq", number, -1 if T is None else len(T)), T or b""
     digest = hashlib.blake2b(b"".join(parts), digest_size=16).digest()

@@ -153,10 +153,12 @@ class KnownRegistrations:
     ) -> RegistrationResult | BackendError:
         if self._store is None:
             return self._compute(source, target, T_target_source)
-        key = pair_key(self._common, target.key, source.key[0][0], T_target_source)
+        content = source.digest + target.digest
+        pair = (target.key, source.key[0][0], T_target_source, content)
+        key = pair_key(self._common, *pair)
         known = self._store.get(key)
         if known is None and self._own is not None:
-            key = pair_key(self._own, target.key, source.key[0][0], T_target_source)
+            key = pair_key(self._own, *pair)
             known = self._store.get(key)
         if known is not None:
             return _reused(known)

@@ -215,6 +215,7 @@ def test_every_ingredient_changes_the_key() -> None:
         pair_key(one, ((4, POSE), (3, None)), 5, guess),
         pair_key(one, ((3, POSE), (4, POSE)), 5, guess),
         pair_key(one, (), 5, guess),
+        pair_key(one, ((3, None),), 5, guess, b"other points"),
     ]
     for index in range(16):
         other = guess.copy()
