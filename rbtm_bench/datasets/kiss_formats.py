@@ -33,14 +33,13 @@ Times = Callable[[Path, Any, list[Path]], Array | None]
 @dataclass(frozen=True)
 class Format:
     """A loader: ``files`` and ``times`` (s; None if unknown) of its scans, ``truth`` of a loader
-    (N, 4, 4), NaN where unknown, ``points`` of a file where not the loader's own, the ``package``
-    that it needs, and whether it asks for a ``sequence``."""
+    (N, 4, 4), NaN where unknown, ``points`` of a file where not the loader's own, and whether it
+    asks for a ``sequence``."""
 
     files: Callable[[Path, Any], list[Path]]
     times: Times
     truth: Callable[[Path, Any, Array | None, float], Array | None]
     points: Callable[[Path, Any], Array] | None = None
-    package: str = ""
     sequence: bool = False
 
 
@@ -146,7 +145,8 @@ def _nclt_points(file: Path, loader: Any) -> Array:
 
 
 def _cloud_points(file: Path, loader: Any) -> Array:
-    """By our own readers, which hold the header against the file."""
+    """By our own readers, which hold the header against the file; pyntcloud, by which ncd would
+    read, cannot read binary files with numpy 2."""
     if file.suffix.lower() in SUFFIXES:
         return read_points(file)
     return np.asarray(loader.read_point_cloud(str(file))[0], dtype=np.float64)
@@ -171,7 +171,7 @@ FORMATS = {
     "helipr": Format(scan_files, _by_name, _own, _helipr_points, sequence=True),
     "kitti_raw": Format(scan_files, _raw_times, _own, sequence=True),
     "mulran": Format(scan_files, _by_name, _in_time(lambda path: path / "global_pose.csv", 1e-9)),
-    "ncd": Format(_ncd_files, _ncd_times, _own, package="pyntcloud"),
+    "ncd": Format(_ncd_files, _ncd_times, _own, _cloud_points),
     "nclt": Format(
         lambda path, loader: [Path(loader.scans_dir) / str(file) for file in loader.scan_files],
         _by_name,

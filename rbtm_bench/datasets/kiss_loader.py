@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import importlib.util
 import io
 import warnings
 from collections.abc import Callable, Sequence
@@ -186,8 +185,6 @@ class KissFormat(KissDataset):
         max_range: Annotated[float, Gt(0)] | None = None,
     ) -> None:
         form, folder = FORMATS[loader], Path(path).absolute()
-        if form.package and importlib.util.find_spec(form.package) is None:
-            raise ConfigError(f"KISS-ICP's loader {loader} needs the package {form.package}")
         if form.sequence and sequence is None:
             raise ConfigError(f"{path}: dataset.sequence= says which sequence {loader} reads")
         if not folder.is_dir():

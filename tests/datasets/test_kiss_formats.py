@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
 from pathlib import Path
 
@@ -165,9 +164,6 @@ TREES: dict[str, tuple[Callable[[Path], Path], str | None]] = {
 
 
 def made(name: str, root: Path, **settings: object) -> KissFormat:
-    needed = FORMATS[name].package
-    if needed and importlib.util.find_spec(needed) is None:
-        pytest.skip(f"KISS-ICP's loader {name} needs {needed}, which is not installed")
     write, sequence = TREES[name]
     return KissFormat(str(write(root)), name, sequence, **settings)  # type: ignore[arg-type]
 
