@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 
 from rbtm_bench.core.errors import ConfigError, DataError, RbtmBenchError
 from rbtm_bench.core.geometry import is_rigid
@@ -33,6 +33,9 @@ VERSION = "kiss-loader-1"
 
 POSE_TOLERANCE = 1e-3
 """How far from orthonormal a loader's rotations may be: some files have six digits."""
+
+
+Index = Annotated[int, Ge(0), Le(10)]
 
 
 @dataclass(frozen=True)
@@ -176,7 +179,7 @@ class KissFormat(KissDataset):
         loader: Literal[
             "apollo", "boreas", "generic", "helipr", "kitti_raw", "mulran", "ncd", "nclt", "tum"
         ],
-        sequence: int | str | None = None,
+        sequence: Literal["Avia", "Aeva", "Ouster", "Velodyne"] | Index | None = None,
         rate_hz: Annotated[float, Gt(0)] = 10.0,
         tolerance_s: Annotated[float, Gt(0)] = 0.1,
         stride: Annotated[int, Ge(1)] = 1,

@@ -10,6 +10,7 @@ import pytest
 import yaml
 from mutants import cloud
 
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.datasets.kiss_formats import FORMATS
 from rbtm_bench.datasets.kiss_loader import KissFormat
@@ -150,12 +151,12 @@ def tum(root: Path) -> Path:
     return root
 
 
-TREES: dict[str, tuple[Callable[[Path], Path], str | None]] = {
+TREES: dict[str, tuple[Callable[[Path], Path], str | int | None]] = {
     "apollo": (apollo, None),
     "boreas": (boreas, None),
     "generic": (generic, None),
     "helipr": (helipr, "Ouster"),
-    "kitti_raw": (kitti_raw, "04"),
+    "kitti_raw": (kitti_raw, 4),
     "mulran": (mulran, None),
     "ncd": (ncd, None),
     "nclt": (nclt, None),
@@ -233,6 +234,17 @@ def test_what_is_missing_or_damaged_is_one_line(
                 assert len(str(error).splitlines()) == 1
         file.write_bytes(content)
     assert capsys.readouterr().out == ""
+
+
+def test_sequences_as_they_are_typed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    kitti_raw(folder(tmp_path, "raw"))
+    helipr(folder(tmp_path, "lidar"))
+    for name, where, sequence in (("kitti_raw", "raw", "04"), ("helipr", "lidar", "Ouster")):
+        words = [f"dataset={name}", f"dataset.path={tmp_path / where}"]
+        assert main(["data", *words, f"dataset.sequence={sequence}"]) == 0
+        assert "scans         4, 3D" in capsys.readouterr().out
+        assert main(["data", *words, "dataset.sequence=Other"]) == 2
+        assert "dataset.sequence=Other: " in capsys.readouterr().err
 
 
 def test_sequences_are_asked_for(tmp_path: Path) -> None:
