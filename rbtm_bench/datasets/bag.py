@@ -67,7 +67,7 @@ class Bag(Dataset):
 
     **Times** are the headers' (the recorder's where all headers say 0). Scans are in the order of
     recording. Poses are interpolated to them between two within ``tolerance_s`` (s). Scans without
-    odometry are left out, which is said, if others have some; a scan may lack a truth.
+    odometry are left out, which is said, and refused if they are most; a scan may lack a truth.
 
     **Ranges.** No return: NaN or infinite, shorter than ``min_range`` or not shorter than
     ``max_range`` (m); None takes the message's, or a shorter value at the far end that many
@@ -87,7 +87,7 @@ class Bag(Dataset):
         truth_topic: str | None = "auto",
         odometry_frame: str = "odom",
         truth_frame: str = "map",
-        tolerance_s: Annotated[float, Gt(0)] = 0.1,
+        tolerance_s: Annotated[float, Gt(0)] = 0.25,
         max_range: Annotated[float, Gt(0)] | None = None,
         min_range: Annotated[float, Ge(0)] | None = None,
         angles: tuple[float, float] | None = None,
@@ -256,6 +256,12 @@ class Bag(Dataset):
         if self.odometry is not None:
             used = used[np.isfinite(self.odometry[:, 0, 0])]
             lost = len(seen.places) - len(used)
+            if lost > len(used):
+                raise DataError(
+                    f"{self._path}: {lost} of {len(seen.places)} scans have no odometry in time: "
+                    "dataset.tolerance_s= (s) allows for rarer poses, dataset.odometry_topic=null "
+                    "does without"
+                )
             if lost:
                 self.suspicions += (f"{lost} scans without odometry in time are left out",)
         used = used[::stride][:max_scans]
