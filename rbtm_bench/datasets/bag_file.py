@@ -140,28 +140,32 @@ def messages(path: str, names: set[str], start: int | None = None) -> Iterator[M
     Raises ``DataError`` where the bag is damaged, and at its end if messages are missing.
     """
     with opened(path) as reader:
+        yield from _messages(reader, path, names, start)
+
+
+def _messages(reader: Any, path: str, names: set[str], start: int | None) -> Iterator[Message]:
+    with told(path):
+        chosen = [one for one in reader.connections if one.topic in names]
+    if not chosen:
+        return
+    expected = sum(one.msgcount for one in chosen)
+    stream = reader.messages(connections=chosen, start=start)
+    ranks: dict[str, tuple[int, int]] = {}
+    count = 0
+    while True:
         with told(path):
-            chosen = [one for one in reader.connections if one.topic in names]
-        if not chosen:
-            return
-        expected = sum(one.msgcount for one in chosen)
-        stream = reader.messages(connections=chosen, start=start)
-        ranks: dict[str, tuple[int, int]] = {}
-        count = 0
-        while True:
-            with told(path):
-                found = next(stream, None)
-                if found is None:
-                    break
-                connection, time, raw = found
-                content = reader.deserialize(raw, connection.msgtype)
-            before, rank = ranks.get(connection.topic, (time - 1, 0))
-            rank = rank + 1 if time == before else 0
-            ranks[connection.topic] = (time, rank)
-            count += 1
-            yield Message(connection.topic, time, rank, content)
-        if start is None and count != expected:
-            raise DataError(f"{path}: {expected} messages announced, {count} found")
+            found = next(stream, None)
+            if found is None:
+                break
+            connection, time, raw = found
+            content = reader.deserialize(raw, connection.msgtype)
+        before, rank = ranks.get(connection.topic, (time - 1, 0))
+        rank = rank + 1 if time == before else 0
+        ranks[connection.topic] = (time, rank)
+        count += 1
+        yield Message(connection.topic, time, rank, content)
+    if start is None and count != expected:
+        raise DataError(f"{path}: {expected} messages announced, {count} found")
 
 
 class Cursor:
@@ -173,16 +177,20 @@ class Cursor:
     def __init__(self, path: str, topic: str) -> None:
         self._path, self._topic = path, topic
         self._stream: Iterator[Message] | None = None
+        self._open: contextlib.AbstractContextManager[Any] | None = None
+        self._reader: Any = None
         self._owner = self._next = -1
         self._lock = threading.Lock()
 
     def message(self, index: int, time: int, rank: int) -> Any:
         """The content of message ``index`` of the topic."""
         with self._lock:
-            ahead = index - self._next
-            if self._owner != os.getpid() or not 0 <= ahead < FORWARD or self._stream is None:
-                self._stream = messages(self._path, {self._topic}, start=time)
+            if self._owner != os.getpid():
+                self._open = opened(self._path)  # kept: it closes the bag when it goes
+                self._reader, self._stream = self._open.__enter__(), None
                 self._owner = os.getpid()
+            if not 0 <= index - self._next < FORWARD or self._stream is None:
+                self._stream = _messages(self._reader, self._path, {self._topic}, time)
             self._next = index + 1
             for message in self._stream:
                 if (message.time, message.rank) == (time, rank):
