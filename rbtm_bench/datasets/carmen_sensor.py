@@ -84,13 +84,13 @@ def no_return_limit(log: CarmenLog, sample: Array, scale: float = 1.0) -> tuple[
         limit, reasons = own, [f"PARAM {SENSOR_MAX_PARAM}"]
     if log.laser is not None and 0 < log.laser.max_range < limit:
         limit, reasons = log.laser.max_range, [f"{log.message}'s maximum range"]
-    spike, count = _spike(scale * sample)
+    spike, count = lone_value(scale * sample)
     if spike is not None and spike - NO_RETURN_BAND < limit:
         limit, reasons = spike - NO_RETURN_BAND, [f"{count} readings are {spike:g} m, all alone"]
     return float(limit), "; ".join(reasons) or "no value near the longest is frequent"
 
 
-def _spike(readings: Array) -> tuple[float | None, int]:
+def lone_value(readings: Array) -> tuple[float | None, int]:
     """The shortest of the values at the far end that so many readings have in common."""
     finite = readings[np.isfinite(readings) & (readings < FARTHEST_READING)]
     values, counts = np.unique(finite, return_counts=True)

@@ -1,4 +1,4 @@
-"""Read one point cloud file (.ply, .pcd, .bin, .npy), or say what is wrong with it.
+"""Read one point cloud file (.ply, .pcd, .bin, .npy, or text), or say what is wrong with it.
 
 Headers are read first and held against the file's size; the points follow from what they say.
 """
@@ -15,8 +15,11 @@ from rbtm_bench.core.types import Array
 from rbtm_bench.datasets import pcd_file, ply_file
 from rbtm_bench.datasets.binary_layouts import LAYOUTS, absurd, read_layout
 from rbtm_bench.datasets.files import file_size, reader
+from rbtm_bench.datasets.text_cloud import read_text
 
-SUFFIXES = (".ply", ".pcd", ".bin", ".npy")
+SUFFIXES = (".ply", ".pcd", ".bin", ".npy", ".xyz")
+TEXT = (".xyz", ".csv", ".txt")
+"""Of these .csv and .txt may be trajectories as well: they are clouds where a pattern says so."""
 
 MOST_ABSURD = 0.01
 """A cloud is refused if a larger share of its points lies nowhere."""
@@ -42,7 +45,7 @@ def read_points(
 ) -> Array:
     """All points (N, 3) of the file in its own unit and frame, non-finite ones included.
 
-    ``layout`` is that of .bin files, ``columns`` are those of x, y, z in an array (.npy).
+    ``layout`` is that of .bin files, ``columns`` are those of x, y, z in an array (.npy) or text.
     Raises ``DataError``.
     """
     suffix = path.suffix.lower()
@@ -50,6 +53,8 @@ def read_points(
         return read_layout(path, layout)
     if suffix == ".npy":
         return _npy_points(path, columns)
+    if suffix in TEXT:
+        return _text_points(path, columns)
     return ply_file.read_ply(path) if suffix == ".ply" else pcd_file.read_pcd(path)
 
 
@@ -64,6 +69,13 @@ def _npy_points(path: Path, columns: tuple[int, int, int] | None) -> Array:
     if max(columns) >= array.shape[1]:
         raise DataError(f"{path}: {array.shape[1]} columns, but columns={list(columns)}")
     return np.array(array[:, columns], dtype=np.float64)
+
+
+def _text_points(path: Path, columns: tuple[int, int, int] | None) -> Array:
+    table, known = read_text(path, columns)
+    if not known and table.shape[1] > 3 and len(table) >= SHORT_SIDE:
+        _refuse_counters(path, table)
+    return table[:, :3]
 
 
 def _refuse_counters(path: Path, array: NDArray[np.generic]) -> None:

@@ -14,7 +14,7 @@ from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.association import time_suspicions
 from rbtm_bench.datasets.base import Dataset, Drops, Reading
 from rbtm_bench.datasets.binary_layouts import LAYOUTS, find_layout
-from rbtm_bench.datasets.cloud_files import SUFFIXES, check_file, read_points, usable
+from rbtm_bench.datasets.cloud_files import SUFFIXES, TEXT, check_file, read_points, usable
 from rbtm_bench.datasets.cloud_frame import find_frame
 from rbtm_bench.datasets.cloud_times import Matched, list_files, match_poses, times_of
 from rbtm_bench.datasets.files import reader
@@ -27,7 +27,8 @@ Index = Annotated[int, Ge(0)]
 
 
 class CloudFolder(Dataset):
-    """The cloud files of a folder: .ply, .pcd, .bin, .npy (N, 3+), all of one format.
+    """The cloud files of a folder: .ply, .pcd, .bin, .npy (N, 3+) or .xyz, all of one format;
+    .csv and .txt, which may be anything, where ``pattern`` ends so.
 
     ``pattern`` is a glob inside ``path``; names with a dot in front are no data; files sort
     naturally (2 before 10) or as decimal numbers. ``layout`` is that of .bin files, ``columns`` are
@@ -70,7 +71,8 @@ class CloudFolder(Dataset):
         self.min_range = float(min_range)
         self.max_range = np.inf if max_range is None else float(max_range)
         self._drops, self._columns = Drops(), columns
-        files = list_files(path, pattern, SUFFIXES)
+        named = tuple(suffix for suffix in TEXT if pattern.lower().endswith(suffix))
+        files = list_files(path, pattern, SUFFIXES + named)
         self._layout = self._find_layout(files, layout, on_error)
         times = times_of(files)
         self.stamps = np.arange(len(files)) / rate_hz if times is None else times

@@ -1,7 +1,7 @@
 """KISS-ICP's data loaders as our data sets: what they print or exit with becomes our errors.
 
-A format needs a subclass that checks its files first, so that a message can name the one at fault,
-and hands the opened loader over; ``kitti.py`` is the pattern.
+``KissFormat`` is the data set of most of them, by what ``kiss_formats`` knows of each; KITTI's
+odometry data have a class of their own, which checks its files first (``kitti.py``).
 """
 
 from __future__ import annotations
@@ -13,23 +13,29 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Ge, Gt, Le
 
-from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.errors import ConfigError, DataError, RbtmBenchError
 from rbtm_bench.core.geometry import is_rigid
 from rbtm_bench.core.trajectory import orthonormalised
 from rbtm_bench.core.types import Array, Scan
-from rbtm_bench.datasets.base import Dataset, Drops
+from rbtm_bench.datasets.association import time_suspicions
+from rbtm_bench.datasets.base import Dataset, Drops, Reading
 from rbtm_bench.datasets.cloud_files import usable
-from rbtm_bench.datasets.files import reader
+from rbtm_bench.datasets.files import file_size, reader
+from rbtm_bench.datasets.kiss_formats import FORMATS
 
 VERSION = "kiss-loader-1"
 """Part of the fingerprint: change it whenever the same files and settings give other scans."""
 
 POSE_TOLERANCE = 1e-3
 """How far from orthonormal a loader's rotations may be: some files have six digits."""
+
+
+Index = Annotated[int, Ge(0), Le(10)]
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,8 @@ def quietly(name: str, path: str | Path, ask: Callable[[], Any]) -> Any:
         raise ConfigError(f"KISS-ICP's loader {name} needs a package: {error}") from error
     except SystemExit as error:
         text = " ".join(printed.getvalue().split()) or f"it exited with {error.code}"
+    except RbtmBenchError:
+        raise
     except Exception as error:
         text = " ".join(f"{type(error).__name__}: {error}".split())
     raise DataError(f"{path}: KISS-ICP's loader {name} cannot read it: {text}")
@@ -74,7 +82,8 @@ class KissDataset(Dataset):
     """The frames of a loader, a scan each; times within a scan are not used.
 
     ``settings`` are those that change the scans, for the fingerprint. ``truth`` (M, 4, 4) holds
-    the loader's poses T_world_sensor by frame number, None if it has none; only the frames from
+    the loader's poses T_world_sensor by frame number, all NaN where unknown, None if it has none;
+    only the frames from
     the first to the last of ``truth_frames`` (all by default) get them. Points that are not
     finite, implausible, not farther than ``min_range`` (m) or not nearer than ``max_range`` (m)
     are dropped and counted.
@@ -99,7 +108,11 @@ class KissDataset(Dataset):
         first, last = truth_frames or (0, frames[-1].number)
         self.ground_truth: dict[int, Array] = {}
         if truth is not None:
-            known = [frame for frame in frames if first <= frame.number <= last]
+            known = [
+                frame
+                for frame in frames
+                if first <= frame.number <= last and not np.isnan(truth[frame.number]).all()
+            ]
             self.ground_truth = {f.number: _rigid(truth[f.number], f) for f in known}
         self.has_ground_truth = bool(self.ground_truth)
         self._name, self._loader = name, loader
@@ -131,14 +144,88 @@ class KissDataset(Dataset):
 
     def _points(self, index: int) -> Array:
         frame = self.frames[index]
-        read, _ = quietly(self._name, frame.file, lambda: self._loader[frame.position])
-        points = np.asarray(read, dtype=np.float64)
+        points = self._read(frame)
         kept, causes = usable(frame.file, points, self.min_range, self.max_range)
         self._drops.note(index, **causes)
         return kept
 
+    def _read(self, frame: Frame) -> Array:
+        """All points (N, 3) of a frame."""
+        read, _ = quietly(self._name, frame.file, lambda: self._loader[frame.position])
+        return np.asarray(read, dtype=np.float64)
+
     def dropped(self) -> dict[str, int]:
         return self._drops.total()
+
+
+class KissFormat(KissDataset):
+    """A data set by KISS-ICP's ``loader``: apollo, boreas, generic, helipr, kitti_raw, mulran,
+    ncd (Newer College), nclt or tum.
+
+    ``path`` is the folder that the loader expects (docs/data.md); ``sequence`` a part of it, for
+    helipr (Avia, Aeva, Ouster, Velodyne) and kitti_raw (00 to 10). Times are those of the files'
+    names or of a table beside them, else scans are 1 / ``rate_hz`` s apart, which is said. A truth
+    that belongs to scans by time is within ``tolerance_s`` (s) of them, or not known.
+    ``min_range``, ``max_range`` in m; ``stride`` keeps every n-th scan, then ``max_scans`` the
+    first so many. Points are read anew where the loader is known to err (``kiss_formats``).
+
+    Raises ``ConfigError`` for a missing package or sequence, ``DataError`` for data that the loader
+    cannot read, or that do not belong together.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        loader: Literal[
+            "apollo", "boreas", "generic", "helipr", "kitti_raw", "mulran", "ncd", "nclt", "tum"
+        ],
+        sequence: Literal["Avia", "Aeva", "Ouster", "Velodyne"] | Index | None = None,
+        rate_hz: Annotated[float, Gt(0)] = 10.0,
+        tolerance_s: Annotated[float, Gt(0)] = 0.1,
+        stride: Annotated[int, Ge(1)] = 1,
+        max_scans: Annotated[int, Ge(1)] | None = None,
+        min_range: Annotated[float, Ge(0)] = 0.0,
+        max_range: Annotated[float, Gt(0)] | None = None,
+    ) -> None:
+        form, folder = FORMATS[loader], Path(path).absolute()
+        if form.sequence and sequence is None:
+            raise ConfigError(f"{path}: dataset.sequence= says which sequence {loader} reads")
+        if not folder.is_dir():
+            raise DataError(f"{path}: expected the folder of a data set")
+        named = {"sequence": str(sequence)} if form.sequence else {}
+        opened = open_loader(loader, folder, **named)
+        files = quietly(loader, path, lambda: form.files(folder, opened))
+        if not files:
+            raise DataError(f"{path}: KISS-ICP's loader {loader} found no scan")
+        for file in files:
+            file_size(file)
+        stamps = quietly(loader, path, lambda: form.times(folder, opened, files))
+        truth = quietly(loader, path, lambda: form.truth(folder, opened, stamps, tolerance_s))
+        for what, known in (("times", stamps), ("poses of the truth", truth)):
+            if known is not None and len(known) != len(files):
+                raise DataError(f"{path}: {len(known)} {what} for {len(files)} scans")
+        assumed = stamps is None
+        stamps = np.arange(len(files)) / rate_hz if assumed else stamps
+        every = [Frame(i, i, file, float(stamps[i])) for i, file in enumerate(files)]
+        self._own_points = form.points
+        settings = [str(sequence), *([rate_hz] if assumed else [])]
+        frames = every[::stride][:max_scans]
+        if truth is not None:
+            truth = np.where(np.isfinite(truth).all(axis=(1, 2))[:, None, None], truth, np.nan)
+        super().__init__(loader, opened, frames, settings, truth, None, min_range, max_range)
+        self.stamps = np.array([frame.stamp for frame in frames])
+        taken = f"{rate_hz:g} Hz from 0 s" if assumed else "those of the data set"
+        self.readings = (
+            Reading("times", taken, "no times were found" if assumed else "", "rate_hz"),
+            Reading("truth", f"{len(self.ground_truth)} of {len(frames)} scans", "", ""),
+        )
+        self.suspicions = tuple(time_suspicions(self.stamps))
+
+    def _read(self, frame: Frame) -> Array:
+        own = self._own_points
+        if own is None:
+            return super()._read(frame)
+        return np.asarray(quietly(self._name, frame.file, lambda: own(frame.file, self._loader)))
 
 
 def _rigid(T: Array, frame: Frame) -> Array:

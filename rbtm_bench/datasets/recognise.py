@@ -7,15 +7,17 @@ import itertools
 from pathlib import Path
 
 from rbtm_bench.core.errors import DataError
+from rbtm_bench.datasets.bag_file import MAGIC, METADATA, magic_suffix, topics
+from rbtm_bench.datasets.bag_scans import CLOUD, LASER
 from rbtm_bench.datasets.carmen_messages import LASERS
 from rbtm_bench.datasets.files import unpacked_lines
 
-CLOUDS = (".ply", ".pcd", ".bin", ".npy")
+CLOUDS = (".ply", ".pcd", ".bin", ".npy", ".xyz")
 LOG_SUFFIXES = (".clf", ".log")
 TRUTH = ("*.tum", "poses.txt", "groundtruth.txt", "ground_truth.txt")
 KNOWN = (
-    "a CARMEN log, a folder of clouds (.ply, .pcd, .bin, .npy), or KITTI's layout "
-    "(sequences/00/velodyne)"
+    "a CARMEN log, a folder of clouds (.ply, .pcd, .bin, .npy, .xyz), KITTI's layout "
+    "(sequences/00/velodyne), or a bag (.bag, .db3, .mcap)"
 )
 LINES = 2000
 """Lines at the start of a file, in which a log has a scan."""
@@ -35,12 +37,16 @@ def recognise(path: str, given: tuple[str, ...] = ()) -> dict[str, str]:
         return _file(place)
     if not place.is_dir():
         raise DataError(f"{path}: expected a file or folder, found a pipe or device")
+    if (place / METADATA).is_file():
+        return _bag(place)
     return _kitti(place, given) or _clouds(place, given) or _folder_of_log(place)
 
 
 def _file(path: Path) -> dict[str, str]:
     if path.suffix.lower() in CLOUDS:
         raise DataError(f"{path}: a single cloud; a data set is the folder that it is in")
+    if magic_suffix(path) is not None:
+        return _bag(path)
     if not _is_log(path):
         raise DataError(f"{path}: not recognised: expected {KNOWN}")
     found = {"dataset": "carmen", "dataset.path": str(path)}
@@ -51,6 +57,13 @@ def _file(path: Path) -> dict[str, str]:
     if relations.is_file():
         found["dataset.relations"] = str(relations)
     return found
+
+
+def _bag(path: Path) -> dict[str, str]:
+    """A bag; one that has clouds and no planar laser comes with the settings for clouds."""
+    types = {topic.type for topic in topics(str(path))}
+    name = "bag_clouds" if CLOUD in types and LASER not in types else "bag"
+    return {"dataset": name, "dataset.path": str(path)}
 
 
 def _is_log(path: Path) -> bool:
@@ -111,10 +124,11 @@ def _shown(path: Path) -> bool:
 
 def _folder_of_log(path: Path) -> dict[str, str]:
     names = [f"*{suffix}{packed}" for suffix in LOG_SUFFIXES for packed in ("", ".gz", ".bz2")]
+    names += [f"*{suffix}" for suffix in MAGIC.values()]
     logs = sorted(file for name in names for file in path.glob(name) if _shown(file))
     if len(logs) > 1:
         shown = ", ".join(file.name for file in logs[:4])
-        raise DataError(f"{path}: several logs ({shown}): expected the path of one")
+        raise DataError(f"{path}: several logs or bags ({shown}): expected the path of one")
     if not logs:
         raise DataError(f"{path}: not recognised: expected {KNOWN}")
     return _file(logs[0])

@@ -55,6 +55,10 @@ def _clouds(suffix: str, save: Callable[[Path, np.ndarray], None]) -> Format:
     return Format(write, lambda folder: CloudFolder(str(folder)))
 
 
+def _text(path: Path, points: np.ndarray) -> None:
+    path.write_text("".join(f"{x!r} {y!r} {z!r}\n" for x, y, z in points.tolist()))
+
+
 def _ascii(path: Path, points: np.ndarray) -> None:
     rows = "\n".join(f"{x!r} {y!r} {z!r}" for x, y, z in points.tolist())
     names = "".join(f"property double {name}\n" for name in "xyz")
@@ -139,6 +143,7 @@ FORMATS = {
     "pcd compressed": _clouds(".pcd", _compressed),
     "bin": _clouds(".bin", write_cloud),
     "npy": _clouds(".npy", write_cloud),
+    "xyz": _clouds(".xyz", _text),
     "log": Format(_log, lambda folder: Carmen(str(folder / "a.clf"))),
     "log packed": Format(_packed, lambda folder: Carmen(str(folder / "a.clf"))),
     "relations": Format(
@@ -245,4 +250,4 @@ def _looked_at(dataset: Dataset) -> str:
 def _fewer_announced(dataset: Dataset) -> bool:
     """Whole records that are gone from files without a header are gone without a trace."""
     files = getattr(dataset, "files", None) or [f.file for f in getattr(dataset, "frames", [])]
-    return any(f.suffix == ".bin" for f in files)
+    return any(f.suffix in (".bin", ".xyz") for f in files)

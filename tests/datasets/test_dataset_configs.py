@@ -12,7 +12,7 @@ import yaml
 from pydantic import ConfigDict, ValidationError, create_model
 
 CONFIGS = Path(__file__).parents[2] / "configs" / "dataset"
-NAMES = ("corridor", "carmen", "cloud_folder", "kitti")
+NAMES = ("corridor", "carmen", "cloud_folder", "kitti", "bag", "bag_clouds")
 
 
 def _load(name: str) -> tuple[dict[str, Any], type]:
@@ -47,6 +47,8 @@ def test_config_and_class_agree(name: str) -> None:
         ("carmen", {"max_range": 0.0}),
         ("cloud_folder", {"rate_hz": 0.0}),
         ("cloud_folder", {"on_error": "ignore"}),
+        ("bag", {"tolerance_s": 0.0}),
+        ("bag", {"topic": 3}),
         ("kitti", {"sequence": -1}),
         ("kitti", {"ground_truth_frames": [3]}),
     ],

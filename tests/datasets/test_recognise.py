@@ -30,7 +30,7 @@ def test_a_log_with_its_relations(tmp_path: Path) -> None:
         found = recognise(str(place))
         assert found["dataset.relations"] == str(tmp_path / "a.relations")
     (tmp_path / "b.log").write_text(log())
-    with pytest.raises(DataError, match=r"several logs \(.*expected the path of one"):
+    with pytest.raises(DataError, match=r"several logs or bags \(.*expected the path of one"):
         recognise(str(tmp_path))
 
 
