@@ -30,7 +30,7 @@ commands
   doctor    check this installation and say what to do
 
 what goes on the command line
-  dataset=corridor|carmen|bag|kitti|...         group=member chooses a plug-in
+  dataset=corridor|simulated|carmen|bag|...      group=member chooses a plug-in
   PATH                                          data, first of all: recognised, with dataset.path
   dataset.path=LOG selector.threshold=0.8       group.key=value sets one of its parameters
   out=DIR                                       where the results go (default: results/...)

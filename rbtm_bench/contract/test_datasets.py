@@ -8,7 +8,7 @@ import pytest
 from rbtm_bench.contract.members import Catalogue, Member
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.geometry import is_rigid
-from rbtm_bench.core.types import Scan
+from rbtm_bench.core.types import SCAN_ARRAYS, Scan
 from rbtm_bench.datasets.base import Dataset
 
 GROUP = "dataset"
@@ -39,7 +39,7 @@ def indices(dataset: Dataset) -> list[int]:
 
 def content(scan: Scan) -> list[bytes | None]:
     """Everything in a scan, as bytes."""
-    arrays = (scan.points, scan.ranges, scan.angles, scan.odometry, scan.ground_truth)
+    arrays = [getattr(scan, name) for name in SCAN_ARRAYS]
     facts = np.array([scan.index, scan.stamp, scan.planar], dtype=np.float64)
     return [facts.tobytes(), *(None if a is None else a.tobytes() for a in arrays)]
 

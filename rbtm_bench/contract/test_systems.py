@@ -17,7 +17,7 @@ from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import inverse, is_rigid, rotation_angle, se3, translation_norm
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.corridor import Corridor
-from rbtm_bench.datasets.simulated_hall import drive, simulate
+from rbtm_bench.datasets.simulated import SimulatedPlace
 
 GROUP = "backend"
 SYSTEMS = True
@@ -49,10 +49,11 @@ def plane() -> Course:
 @cache
 def space() -> Course:
     """3 m through a hall in a slight curve, 0.1 m a scan."""
-    poses = drive(31, 0.1)
-    clouds = simulate(poses, rings=16, noise=0.01, seed=0)
-    scans = tuple(Scan(i, 0.1 * i, points) for i, points in enumerate(clouds))
-    return Course("3d", ("dataset=cloud_folder", "dataset.path=simulated"), poses, scans)
+    data = SimulatedPlace(
+        place="hall", scans=31, step=0.1, beams=16, azimuths=1000, range_noise=0.01
+    )
+    scans = tuple(Scan(scan.index, scan.stamp, scan.points) for scan in data)
+    return Course("3d", ("dataset=simulated", "dataset.place=hall"), data.ground_truth, scans)
 
 
 @pytest.fixture(scope="module", params=[plane, space], ids=["2d", "3d"])

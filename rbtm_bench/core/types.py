@@ -20,7 +20,7 @@ from rbtm_bench.core.step_columns import STEPS
 Array = NDArray[np.float64]
 
 
-SCAN_ARRAYS = ("points", "ranges", "angles", "odometry", "ground_truth")
+SCAN_ARRAYS = ("points", "ranges", "angles", "odometry", "ground_truth", "times")
 
 
 def read_only(array: Array) -> Array:
@@ -40,6 +40,7 @@ class Scan:
     hold every beam in the order of sensing, NaN for a beam with no return; both are None for a
     cloud without beams. ``odometry`` and ``ground_truth`` are T_world_sensor, each in a world
     frame of its own. ``planar`` says that all points lie in z = 0 and motion stays in that plane.
+    ``times`` (N,) s after ``stamp`` says when each point was taken; None where it is not known.
     """
 
     index: int
@@ -50,6 +51,7 @@ class Scan:
     angles: Array | None = None
     odometry: Array | None = None
     ground_truth: Array | None = None
+    times: Array | None = None
 
     def copied(self) -> Scan:
         """The scan with arrays of its own."""

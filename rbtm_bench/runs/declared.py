@@ -48,6 +48,35 @@ PERTURBATION = Perturbation(
 """What is perturbed unless told otherwise, and in runs that do not say."""
 
 
+class Perturb(TypedDict):
+    """The settings of ``perturb``: what is done to the data (``datasets.degraded``)."""
+
+    dropout: Annotated[float, Ge(0), Lt(1)]
+    outliers: Annotated[float, Ge(0), Le(1)]
+    blocked: Annotated[float, Ge(0), Lt(1)]
+    movers: Annotated[int, Ge(0), Le(1000)]
+    every_scan: Annotated[int, Ge(1)]
+    every_beam: Annotated[int, Ge(1)]
+    odometry_scale: Annotated[float, Gt(-1)]
+    odometry_drift_deg: float
+
+
+# A word with a slip in it would do nothing, unseen.
+Perturb.__pydantic_config__ = {"extra": "forbid"}  # type: ignore[attr-defined]
+
+PERTURB = Perturb(
+    dropout=0.0,
+    outliers=0.0,
+    blocked=0.0,
+    movers=0,
+    every_scan=1,
+    every_beam=1,
+    odometry_scale=0.0,
+    odometry_drift_deg=0.0,
+)
+"""The data as they are."""
+
+
 class Shared(NamedTuple):
     """A setting outside every group: its type (None: the plug-ins check it) and its kind."""
 
@@ -60,6 +89,7 @@ SHARED = {
     "replicates": Shared(Annotated[int, Ge(1)], Kind.HOW),
     "replicate": Shared(Annotated[int, Ge(0)], Kind.SEED),
     "perturbation": Shared(Perturbation, Kind.WHAT),
+    "perturb": Shared(Perturb, Kind.DATA),
     "out": Shared(str | None, Kind.HOW),
     "overwrite": Shared(bool, Kind.HOW),
     "pictures": Shared(bool, Kind.HOW),

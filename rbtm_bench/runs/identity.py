@@ -16,7 +16,14 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from rbtm_bench.core.kinds import Kind
-from rbtm_bench.runs.declared import FOR_PAIRS, GROUPS, PERTURBATION, PLUGIN_GROUPS, kind_of
+from rbtm_bench.runs.declared import (
+    FOR_PAIRS,
+    GROUPS,
+    PERTURB,
+    PERTURBATION,
+    PLUGIN_GROUPS,
+    kind_of,
+)
 from rbtm_bench.runs.plugins import class_of, constructor_parameters, is_system
 
 SEPARATE = (Kind.SEED, Kind.OTHER_RUN)
@@ -24,6 +31,7 @@ SEPARATE = (Kind.SEED, Kind.OTHER_RUN)
 
 
 _USUAL = {f"perturbation.{key}": value for key, value in PERTURBATION.items()}
+_USUAL |= {f"perturb.{key}": value for key, value in PERTURB.items()}
 
 
 @dataclass(frozen=True)
@@ -48,13 +56,15 @@ class Identity:
         parts: dict[Kind, dict[str, Any]] = {kind: {} for kind in Kind}
         for key, value in flat(config):
             if key in _USUAL and value == _USUAL[key]:
-                continue  # so that runs from before there were replicates are what they were
+                continue  # so that runs from before there were these are what they were
             if not any(key == name or key.startswith(f"{name}.") for name in idle):
                 parts[special.get(key, kind_of(key))][key] = value
         seeds = {k: v for k, v in parts[Kind.SEED].items() if k in special}
         folders = {k: _last(v) for k, v in parts[Kind.OTHER_RUN].items() if v is not None}
         if config.get("replicate"):  # its draws depend on the run's seed, used or not
             seeds |= {"replicate": [config["replicate"], config.get("seed")]}
+        if any(key.startswith("perturb.") for key in parts[Kind.DATA]):
+            seeds |= {"perturb": config.get("seed")}
         kept = {group: name for group, name in choices.items() if group not in idle}
         return cls(parts[Kind.WHAT], parts[Kind.DATA], {**seeds, **folders}, kept)
 
@@ -80,7 +90,10 @@ class Identity:
         return self.part("dataset")
 
     def part(self, *groups: str) -> str:
-        """Equal for runs that agree in the choice and the settings of these groups."""
+        """Equal for runs that agree in the choice and the settings of these groups; the data set's
+        are those of ``perturb`` as well."""
+        if "dataset" in groups and self.settings("perturb"):
+            groups = (*groups, "perturb")
         return _text([[self.choices.get(group), self.settings(group)] for group in groups])
 
     def settings(self, group: str) -> dict[str, Any]:
@@ -181,7 +194,10 @@ def differing(
 
 
 def _of_group(identity: Identity, group: str) -> dict[str, Any]:
-    """The settings of a group under their whole keys; of "" those outside every group."""
+    """The settings of a group under their whole keys; of "" those outside every group. What is
+    done to the data is the data set's."""
+    if group == "dataset":
+        return identity.data
     if group:
         return {f"{group}.{key}": value for key, value in identity.settings(group).items()}
     return {k: v for k, v in identity.what.items() if k.partition(".")[0] not in GROUPS}

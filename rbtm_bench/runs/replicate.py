@@ -12,6 +12,7 @@ from typing import Any
 
 from rbtm_bench.core.kinds import Nuisance
 from rbtm_bench.datasets.base import Dataset
+from rbtm_bench.datasets.degraded import Degradation, degraded
 from rbtm_bench.datasets.perturbed import Amounts, Perturbed, generator
 from rbtm_bench.runs.declared import PERTURBATION, PLUGIN_GROUPS, Perturbation
 from rbtm_bench.runs.plugins import constructor_parameters
@@ -29,8 +30,23 @@ def of_data(config: Mapping[str, Any]) -> Amounts:
     return Amounts(by["ranges"], by["odometry"], by["start_scans"])
 
 
+def degradation(config: Mapping[str, Any]) -> Degradation:
+    """What the run does to its data."""
+    return Degradation(**(config.get("perturb") or {}))
+
+
+def drawn(config: Mapping[str, Any]) -> list[Any] | None:
+    """All that tells the run's copy of a data set from the data set; None: there is no copy."""
+    by = degradation(config).changed()
+    if not by and not config.get("replicate"):
+        return None
+    return [by, *(config.get(key) for key in ("replicate", "seed", "perturbation"))]
+
+
 def copy_of(dataset: Dataset, config: Mapping[str, Any]) -> Dataset:
-    """The run's copy of a data set: the data set itself for replicate 0."""
+    """The run's copy of a data set: what ``perturb`` makes of it, and of that the replicate. The
+    data set itself for replicate 0 of data as they are."""
+    dataset = degraded(dataset, degradation(config), config.get("seed", 0))
     if not config.get("replicate"):
         return dataset
     return Perturbed(dataset, config["seed"], config["replicate"], of_data(config))

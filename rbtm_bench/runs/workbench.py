@@ -108,8 +108,7 @@ class Workbench:
         return shared
 
     def _dataset(self, config: dict[str, Any]) -> SharedDataset:
-        drawn = [config.get(k) for k in ("replicate", "seed", "perturbation")]
-        data_key = node_key(config["dataset"], drawn if config.get("replicate") else None)
+        data_key = node_key(config["dataset"], replicate.drawn(config))
         if data_key != self._data_key:
             self._shared.clear()
             plain = replicate.copy_of(self._opened(config["dataset"]), config)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cloud_helpers
 import numpy as np
 import pytest
 
@@ -12,7 +13,6 @@ from rbtm_bench.core.errors import BackendError, ConfigError
 from rbtm_bench.core.geometry import inverse, translation_norm
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.corridor import Corridor
-from rbtm_bench.datasets.simulated_hall import drive, simulate
 from rbtm_bench.runs.settings import compose_settings
 
 SCANS = 12
@@ -21,9 +21,9 @@ SCANS = 12
 @pytest.fixture(scope="module")
 def hall() -> tuple[list[Scan], Array]:
     """Clouds every 0.2 m, and their true poses from the first."""
-    poses = drive(SCANS, 0.2)
-    clouds = simulate(poses, rings=16, noise=0.01, seed=0)
-    return [Scan(i, 0.1 * i, points) for i, points in enumerate(clouds)], inverse(poses[0]) @ poses
+    drive = cloud_helpers.hall(SCANS, 0.2)
+    poses = drive.ground_truth
+    return [Scan(s.index, s.stamp, s.points) for s in drive], inverse(poses[0]) @ poses
 
 
 def follow(system: KissICPSystem, scans: list[Scan]) -> Array:

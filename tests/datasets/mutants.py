@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 from carmen_writer import compose, drive, flaser, odom
+from cloud_helpers import write_cloud
 
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.datasets.carmen import Carmen
 from rbtm_bench.datasets.cloud_folder import CloudFolder
 from rbtm_bench.datasets.kitti import Kitti
-from rbtm_bench.datasets.simulated_hall import write_cloud
 
 SLOW = 10.0
 """s; a reader that takes longer on a few kilobytes hangs."""

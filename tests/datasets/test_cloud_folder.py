@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cloud_helpers import write_cloud
 
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.geometry import is_rigid
@@ -15,7 +16,6 @@ from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.cloud_files import SUFFIXES, read_points
 from rbtm_bench.datasets.cloud_folder import CloudFolder
 from rbtm_bench.datasets.cloud_times import natural_key
-from rbtm_bench.datasets.simulated_hall import write_cloud
 
 POINTS = np.random.default_rng(0).uniform(-5, 5, (100, 3)).astype(np.float32).astype(float)
 

@@ -12,7 +12,7 @@ import yaml
 from pydantic import ConfigDict, ValidationError, create_model
 
 CONFIGS = Path(__file__).parents[2] / "configs" / "dataset"
-NAMES = ("corridor", "carmen", "cloud_folder", "kitti", "bag", "bag_clouds")
+NAMES = ("corridor", "carmen", "cloud_folder", "kitti", "bag", "bag_clouds", "simulated")
 
 
 def _load(name: str) -> tuple[dict[str, Any], type]:
@@ -49,6 +49,9 @@ def test_config_and_class_agree(name: str) -> None:
         ("cloud_folder", {"on_error": "ignore"}),
         ("bag", {"tolerance_s": 0.0}),
         ("bag", {"topic": 3}),
+        ("simulated", {"beams": 17}),
+        ("simulated", {"place": "moon"}),
+        ("simulated", {"dropout": 1.0}),
         ("kitti", {"sequence": -1}),
         ("kitti", {"ground_truth_frames": [3]}),
     ],
@@ -59,7 +62,7 @@ def test_annotations_can_be_checked(name: str, change: dict[str, Any]) -> None:
     hints.pop("return")
     fields: dict[str, Any] = {key: (hint, ...) for key, hint in hints.items()}
     model = create_model("Settings", __config__=ConfigDict(extra="forbid"), **fields)
-    values = {**section, "seed": 0} if name == "corridor" else section
+    values = {**section, "seed": 0} if name in ("corridor", "simulated") else section
     model(**values)
     with pytest.raises(ValidationError, match=next(iter(change))):
         model(**{**values, **change})

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import yaml
 from mutants import cloud
+from rbtm_bench.datasets.simulated_hall import write_cloud
 
 from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.datasets.kiss_formats import FORMATS
 from rbtm_bench.datasets.kiss_loader import KissFormat
-from rbtm_bench.datasets.simulated_hall import write_cloud
 
 START, COUNT = 1_600_000_000, 4
 CONFIGS = Path(__file__).parents[2] / "configs" / "dataset"

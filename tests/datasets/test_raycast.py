@@ -81,7 +81,7 @@ def test_a_cloud_is_seen_from_the_pose_of_the_sensor() -> None:
 
 
 def test_data_sets_import_without_open3d() -> None:
-    modules = "corridor, carmen, cloud_folder, simulated_hall"
+    modules = "corridor, carmen, cloud_folder, simulated"
     code = f"import sys; from rbtm_bench.datasets import {modules}; print('open3d' in sys.modules)"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "False"

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cloud_helpers import write_cloud
 from mutants import FORMATS, cloud, log
 
 from rbtm_bench.cli.commands import main
@@ -15,7 +16,6 @@ from rbtm_bench.core.errors import DataError
 from rbtm_bench.datasets.carmen import Carmen
 from rbtm_bench.datasets.cloud_folder import CloudFolder
 from rbtm_bench.datasets.recognise import recognise
-from rbtm_bench.datasets.simulated_hall import write_cloud
 from rbtm_bench.datasets.summary import WIDTH, report
 
 SCREEN = 40

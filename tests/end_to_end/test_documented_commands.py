@@ -10,9 +10,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from cloud_helpers import write_hall
 from sweep_helpers import TESTS, call
-
-from rbtm_bench.datasets.simulated_hall import write_hall
 
 REPO = TESTS.parent
 PAGES = (REPO / "README.md", *sorted((REPO / "docs").glob("*.md")))
@@ -52,6 +51,7 @@ ELSEWHERE = {
 
 SMALL = {
     "corridor": ("dataset.scans=10", "dataset.beams=181"),
+    "simulated": ("dataset.scans=3", "dataset.azimuths=128"),
     "carmen": ("dataset.max_scans=24",),
     "kitti": ("dataset.max_scans=3",),
     "cloud_folder": ("dataset.max_scans=4",),

@@ -264,7 +264,7 @@ def test_the_workbench_gives_it_shared_scans_and_nothing_else() -> None:
 
 def test_it_runs_where_a_selector_could_not(tmp_path: Path) -> None:
     """3D clouds with the default similarity of 2D: of no concern to a system."""
-    from rbtm_bench.datasets.simulated_hall import write_hall
+    from cloud_helpers import write_hall
 
     write_hall(tmp_path / "hall", scans=4)
     words = ["dataset=cloud_folder", f"dataset.path='{tmp_path / 'hall'}'", "pin=false"]
