@@ -54,9 +54,11 @@ def champion(rows: pd.DataFrame, key: str) -> pd.Series[Any] | None:
 
 def ranked(table: pd.DataFrame) -> pd.DataFrame:
     """The rows of every data set by their main error, the ``champion`` first and marked in
-    ``render.WINNER``; those without a number last."""
+    ``render.WINNER``; those without a number last. A table that is marked stays as it is."""
     import pandas as pd
 
+    if WINNER in table:
+        return table
     parts = []
     for _, rows in table.groupby("data", sort=False, dropna=False):
         error = main_error(rows)

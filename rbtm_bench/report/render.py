@@ -28,11 +28,11 @@ SHORT = (
 )
 """The columns of the table at the end of ``compare``."""
 
-ALWAYS = ("best", "backend", "selector", "tried")
-
-
-WINNER = "best"
+WINNER = "won"
 """The column that marks the winner of a data set with a star."""
+
+ALWAYS = (WINNER, "backend", "selector", "tried")
+
 
 LAST_TO_GO = ("status", "seeds", "replicates", "coverage", "decided", "ms_per_scan")
 """Columns that a narrow terminal loses last, in this order; before them all others from the right,
@@ -70,7 +70,9 @@ def fitted(table: pd.DataFrame, keep: Sequence[str]) -> list[str]:
     if dropped:
         more = [f"{len(dropped) - TOLD} more"] if len(dropped) > TOLD else []
         words = ", ".join([*map(str, dropped[:TOLD]), *more])
-        lines.append(f"left out at {terminal_width()} characters (see --columns, -f csv): {words}")
+        width = terminal_width()
+        note = f"left out at {width} characters (see --columns, -f csv): {words}"
+        lines += textwrap.wrap(note, width, subsequent_indent="  ")
     return lines
 
 

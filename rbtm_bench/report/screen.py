@@ -111,7 +111,7 @@ def of_best(best: pd.DataFrame) -> list[str]:
     """A table of best settings and its notes."""
     columns, main = best_settings.best_columns(best)
     names = [f"{name} ({unit})" for key, unit, name in best_settings.ERRORS if key in main]
-    order = f", within a backend by {' or '.join(names)}" if names else ""
+    order = f", by {' or '.join(names)}" if names else ""
     table = _with_same(best, columns, (*render.ALWAYS, *main))
     return [f"the best setting of every method{order}:", *table, *best_settings.chances(best)]
 
