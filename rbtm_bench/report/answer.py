@@ -135,8 +135,9 @@ def _tied(won: MethodRuns, group: Sequence[MethodRuns], key: str) -> str:
 
 def _cost(won: MethodRuns, group: Sequence[MethodRuns], cost: float) -> str:
     words = f"cost (ms_per_scan): {three_digits(cost)} ms"
-    priced = [m for m in group if is_numeric_cell(m.row.get("ms_per_scan"))]
-    least = min(priced, key=lambda m: float(m.row["ms_per_scan"]))
+    prices = {id(m): m.row.get("ms_per_scan") for m in group}
+    priced = [m for m in group if is_numeric_cell(prices[id(m)])]
+    least = min(priced, key=lambda m: prices[id(m)] or 0.0)
     if least is won:
         return f"{words}, the least of all" if len(group) > 1 else words
     of_least = three_digits(float(least.row["ms_per_scan"] or 0))
@@ -178,7 +179,7 @@ def is_dead(run: Run) -> bool:
 
 def _coverage(run: Run) -> float:
     share = run.metrics.get("coverage")
-    return float(share) if is_numeric_cell(share) else 1.0
+    return float(share or 0.0) if is_numeric_cell(share) else 1.0
 
 
 def dead_words(run: Run) -> str:

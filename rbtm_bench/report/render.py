@@ -37,6 +37,8 @@ ALWAYS = (WINNER, "backend", "selector", "tried")
 LAST_TO_GO = ("status", "seeds", "replicates", "coverage", "decided", "ms_per_scan")
 """Columns that a narrow terminal loses last, in this order; before them all others from the right,
 except those that are always kept."""
+HEAD = 2
+"""Characters that tabulate leaves beside a header."""
 TOLD = 3
 """Columns left out that are named."""
 NARROWEST = 16
@@ -54,7 +56,8 @@ def fitted(table: pd.DataFrame, keep: Sequence[str]) -> list[str]:
     table = with_references(table)
     table = table[[c for c in table if not all(is_empty(v) for v in table[c])]]
     words = table.map(word_of)
-    widths = {c: max([*map(len, _stacked(str(c)).split("\n")), *map(len, words[c])]) for c in table}
+    heads = {c: max(map(len, _stacked(str(c)).split("\n"))) + HEAD for c in table}
+    widths = {c: max([heads[c], *map(len, words[c])]) for c in table}
     order = [c for c in reversed(list(table)) if c not in keep and c not in LAST_TO_GO]
     order += [c for c in LAST_TO_GO if c in table and c not in keep]
     dropped: list[str] = []
