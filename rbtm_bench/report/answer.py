@@ -127,10 +127,12 @@ def _tied(won: MethodRuns, group: Sequence[MethodRuns], key: str) -> str:
     if all(one.unit == better.RUNS for _, one in pairs):
         near = [m for m in others if m.row[key] <= 1.05 * won.row[key]]
         return f"within 5% of it ({key}): {_few(map(_name, near)) or 'none'}; of runs, not proven"
-    tied = [m for m, one in pairs if one.holds != "better"]
-    words = _few(map(_name, tied)) or "none: it is better than every other row"
-    count = f"{len(tied)} of {len(others)}: " if tied else ""
-    return f"tied with it (p_holm, ratio of {key}): {count}{words}"
+    # rows that do not register have a line of their own, and no replicates that differ
+    asked = [(m, one) for m, one in pairs if m.row["backend"] != "none"]
+    tied = [m for m, one in asked if one.holds != "better"]
+    words = _few(map(_name, tied)) or "none: it is better than every row that registers"
+    count = f"{len(tied)} of {len(asked)}: " if tied else ""
+    return f"not told apart from it (p_holm, ratio of {key}): {count}{words}"
 
 
 def _cost(won: MethodRuns, group: Sequence[MethodRuns], cost: float) -> str:

@@ -45,7 +45,7 @@ def test_ties_are_those_that_replicates_cannot_part(tmp_path: Path) -> None:
     make_replicates(tmp_path, "previous", [90.0 + i for i in range(10)])
     text = " ".join(" ".join(told(tmp_path)).split())
     assert "worst 10.9, 10 replicates" in text
-    assert f"tied with it (p_holm, ratio of {MM}): 1 of 2: p2p keyframe" in text
+    assert f"not told apart from it (p_holm, ratio of {MM}): 1 of 2: p2p keyframe" in text
 
 
 @pytest.mark.parametrize(
