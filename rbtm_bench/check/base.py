@@ -20,3 +20,8 @@ class Check(ABC):
 
         ``T_guess`` (4, 4) is the initial guess T_model_scan that it started from.
         """
+
+    def reject_first(self, result: RegistrationResult, T_guess: Array) -> str | None:
+        """As ``reject``, for a guess that knows of no motion yet (``Guess.has_motion``): what lies
+        between it and the result is the motion itself. By default no different."""
+        return self.reject(result, T_guess)

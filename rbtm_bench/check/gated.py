@@ -16,7 +16,10 @@ from rbtm_bench.core.types import Array, RegistrationResult
 class Gated(Check):
     """Rejects when ``converged`` is False (None passes: the library does not say), when fitness
     is below ``min_fitness``, or when the result is further than ``max_translation`` m or
-    ``max_rotation_deg`` from its initial guess."""
+    ``max_rotation_deg`` from its initial guess.
+
+    Both distances are from a predicted motion. Where none is known yet (``guess=constant_velocity``
+    until the first registration is accepted) they do not apply: a car would fail there for good."""
 
     def __init__(
         self,
@@ -29,14 +32,20 @@ class Gated(Check):
         self.max_rotation_deg = max_rotation_deg
 
     def reject(self, result: RegistrationResult, T_guess: Array) -> str | None:
-        if result.converged is False:
-            return "not converged"
-        if result.fitness < self.min_fitness:
-            return f"fitness {result.fitness:.2f} < {self.min_fitness:g}"
+        poor = self.reject_first(result, T_guess)
+        if poor is not None:
+            return poor
         distance, turn = apart(T_guess, result.T_target_source)
         if distance > self.max_translation:
             return f"{distance:.2f} m from the guess"
         angle = math.degrees(turn)
         if angle > self.max_rotation_deg:
             return f"{angle:.0f} deg from the guess"
+        return None
+
+    def reject_first(self, result: RegistrationResult, T_guess: Array) -> str | None:
+        if result.converged is False:
+            return "not converged"
+        if result.fitness < self.min_fitness:
+            return f"fitness {result.fitness:.2f} < {self.min_fitness:g}"
         return None

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.errors import ConfigError, one_line
 from rbtm_bench.report import frame
 from rbtm_bench.report.frame import MethodRuns
 from rbtm_bench.runs import stored
@@ -43,7 +44,7 @@ docs/statistics.md says how, docs/metrics.md defines every metric."""
 
 def table(words: list[str]) -> int:
     """``rbtm-bench table PATH...``: runs as a table on standard output."""
-    from rbtm_bench.report import best_settings, render
+    from rbtm_bench.report import answer, best_settings, render
 
     options = _table_parser().parse_args(words)
     if options.metric and not (options.intervals or options.against):
@@ -52,6 +53,10 @@ def table(words: list[str]) -> int:
         raise ConfigError("--pool: goes with --intervals or --against")
     if options.mean and not options.intervals:
         raise ConfigError("--mean: goes with --intervals")
+    if (options.sort or options.filter) and (
+        options.intervals or options.against or options.held_out or options.choose_on
+    ):
+        raise ConfigError("--sort, --filter: go with a row a run, --over-seeds or --best")
     choice = "--held-out" if options.held_out else "--choose-on" if options.choose_on else ""
     if choice and (options.best or options.over_seeds):
         raise ConfigError(f"{choice}: goes with --intervals or --against, or alone")
@@ -65,13 +70,62 @@ def table(words: list[str]) -> int:
         _print_chosen(chosen, options.format, options.columns)
         return 0
     if options.best:
-        _print_best(best_settings.best(frame.over_seeds(runs)), options.format, options.columns)
+        best = _arranged(best_settings.best(frame.over_seeds(runs)), options)
+        _print_best(best, options.format, options.columns)
+        if options.format == "text":
+            print("\n".join(["", *answer.answer(frame.methods(runs), _places(options))]))
         return 0
     rows = frame.over_seeds(runs) if options.over_seeds else frame.frame(runs)
-    if options.columns:
-        rows = rows[render.existing_columns(rows, options.columns)]
-    print(render.render(rows, options.format))
+    rows = _arranged(rows, options)
+    if options.format == "text":
+        keep = ["run", *render.ALWAYS, *best_settings.main_errors(rows)]
+        print("\n".join(render.fitted(*_columns(rows, options.columns, keep))))
+        methods = frame.methods(runs)
+        if options.over_seeds:
+            methods = [methods[i] for i in sorted(rows.index)]
+        else:
+            methods = frame.methods([runs[i] for i in sorted(rows.index)])
+        print("\n".join(["", *answer.answer(methods, _places(options))]))
+        return 0
+    print(render.render(_columns(rows, options.columns)[0], options.format))
     return 0
+
+
+def _places(options: argparse.Namespace) -> str:
+    return shlex.join(map(str, options.paths))
+
+
+def _arranged(rows: pd.DataFrame, options: argparse.Namespace) -> pd.DataFrame:
+    """The rows that --filter keeps, by --sort; as text by their main error, if nothing else is
+    asked for. Raises ``ConfigError`` for an expression that pandas cannot answer."""
+    from rbtm_bench.report import best_settings
+
+    if options.filter:
+        try:
+            rows = rows.query(options.filter, engine="python")
+        except Exception as error:  # pandas raises whatever the expression does
+            raise ConfigError(f"--filter {options.filter}: {one_line(error)}") from None
+        if rows.empty:
+            raise ConfigError(f"--filter {options.filter}: no row is left")
+    ranked = options.format == "text" and not options.columns and "data" in rows
+    rows = best_settings.ranked(rows) if ranked else rows
+    if options.sort:
+        if options.sort not in rows:
+            raise ConfigError(f"--sort {options.sort}: no such column. Known: {', '.join(rows)}")
+        rows = rows.sort_values(options.sort, kind="stable", na_position="last")
+    return rows
+
+
+def _columns(
+    rows: pd.DataFrame, names: str | None, keep: Sequence[str] = ()
+) -> tuple[pd.DataFrame, Sequence[str]]:
+    """The named columns, all of which are to be kept; else the rows as they are."""
+    from rbtm_bench.report import render
+
+    if not names:
+        return rows, keep
+    shown = render.existing_columns(rows, names)
+    return rows[shown], shown
 
 
 def _table_parser() -> argparse.ArgumentParser:
@@ -133,6 +187,17 @@ def _table_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--mean", action="store_true", help="with --intervals: not the median")
     parser.add_argument("--columns", metavar="A,B", help="only these columns")
+    parser.add_argument(
+        "--sort",
+        metavar="COLUMN",
+        help="rows by this one, the smallest first (else, as text, by "
+        "the main error, the winner marked)",
+    )
+    parser.add_argument(
+        "--filter",
+        metavar="EXPR",
+        help="only these rows: pandas' query, such as \"backend == 'plicp' and window > 4\"",
+    )
     return parser
 
 

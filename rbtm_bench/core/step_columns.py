@@ -13,6 +13,15 @@ STEPS = (
         "score", "float", "", "similarity to the model scan, NaN: undefined or not asked for"
     ),
     StepColumn("candidates", "int", "count", "model scans that the selector chose", 0),
+    StepColumn(
+        "pick",
+        "str",
+        "",
+        "the selector's first pick before the check, once its window is full: oldest, middle or "
+        "newest of the members, none (none passed), undefined (no score was defined); empty "
+        "without scores",
+        "",
+    ),
     StepColumn("undefined_scores", "int", "count", "similarities that were undefined", 0),
     StepColumn("rejected", "int", "count", "registrations that check or backend refused", 0),
     StepColumn("registrations", "int", "count", "calls of the backend", 0),
@@ -56,6 +65,17 @@ STEPS = (
     StepColumn("t_check_s", "float", "s", "judging and checking", 0.0),
 )
 """The columns of steps.parquet, a row a scan."""
+
+PICKS = {
+    "oldest": "the window's oldest member: what `oldest` does",
+    "middle": "neither its oldest nor its newest member",
+    "newest": "its newest member because that passed",
+    "none": "none, because none passed: the fallback is tried",
+    "undefined": "none, because no similarity was defined",
+}
+"""What a selector with scores can do first in a full window."""
+DECIDED = ("middle", "newest")
+"""Of these what the window alone, or the fallback alone, would not have done."""
 
 COVERAGE = (
     Column(
@@ -124,6 +144,30 @@ SUMS = (
         "scans that were matched to the scan before although that had matched nothing, "
         "because nothing had for `restart_after` scans",
         "steps",
+    ),
+    *(
+        Column(
+            "steps",
+            f"pick_{name}",
+            "share",
+            f"scans with a full window for which the selector's first pick, before the check, was "
+            f"{about}; `null` without scores or full windows",
+            "steps, `pick`",
+            table=True,
+            line=f"first pick: {name}",
+        )
+        for name, about in PICKS.items()
+    ),
+    Column(
+        "steps",
+        "decided",
+        "share",
+        "`pick_middle` + `pick_newest`: scans for which the threshold chose what neither `oldest` "
+        "nor the fallback would have",
+        "steps, `pick`",
+        table=True,
+        screen=True,
+        line="decided by the threshold",
     ),
     Column(
         "steps",

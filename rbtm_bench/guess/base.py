@@ -39,6 +39,11 @@ class Guess(ABC):
         ``register`` is the run's own backend, for a guess that registers scans itself."""
         return 0.0
 
+    def has_motion(self, recent: Sequence[Node]) -> bool:
+        """Whether ``predict`` has a motion to go by; if not, a check does not ask how far from the
+        guess a registration ended (``Check.reject_first``)."""
+        return True
+
     @abstractmethod
     def predict(self, model: Node, scan: Scan, recent: Sequence[Node]) -> Array:
         """T_model_scan (4, 4). ``recent`` holds the last one or two scans, newest last."""

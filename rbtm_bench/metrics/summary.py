@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
 
 from rbtm_bench.core.columns import DEGENERATE, family
+from rbtm_bench.core.step_columns import DECIDED, PICKS
 from rbtm_bench.core.types import StepTable
 from rbtm_bench.metrics import cost
 from rbtm_bench.metrics.base import Values
@@ -36,6 +38,7 @@ def summarise_steps(steps: StepTable, peak_memory_mb: float | None = None) -> Va
         "skipped": status.count("skipped"),
         "longest_skip": _longest_skip(status),
         "restarts": sum(steps["restart"]),
+        **_picks(steps["pick"]),
         "undefined_scores": sum(steps["undefined_scores"]),
         "reused": float(np.mean(reused)) if reused else None,
         "mean_gap": float(np.mean(gaps)) if gaps else None,
@@ -44,6 +47,22 @@ def summarise_steps(steps: StepTable, peak_memory_mb: float | None = None) -> Va
         "degenerate": float(np.mean(np.array(held) < DEGENERATE)) if held else None,
         **cost.cost(steps, peak_memory_mb),
     }
+
+
+def why_unregistered(steps: StepTable) -> str:
+    """The most frequent reason of the scans without a registration, numbers aside, by example."""
+    where = zip(steps["status"][1:], steps["reason"][1:], strict=True)
+    reasons = [reason for status, reason in where if status not in REGISTERED and reason]
+    kinds = [re.sub(r"[\d.]+", "0", reason) for reason in reasons]
+    return reasons[kinds.index(max(kinds, key=kinds.count))] if reasons else ""
+
+
+def _picks(first: Sequence[str]) -> Values:
+    """Shares of the first picks, and of those that the threshold decided; None without any."""
+    known = [pick for pick in first if pick]
+    shares = {f"pick_{name}": known.count(name) / len(known) if known else None for name in PICKS}
+    decided = sum(pick in DECIDED for pick in known)
+    return {**shares, "decided": decided / len(known) if known else None}
 
 
 def _longest_skip(status: Sequence[str]) -> int:

@@ -121,9 +121,12 @@ def target(plugin: Target, scan: Scan, model: int, window: Window, backend: Back
     return given
 
 
-def rejection(check: Check, result: RegistrationResult, T_guess: Array) -> str | None:
+def rejection(
+    check: Check, result: RegistrationResult, T_guess: Array, has_motion: bool = True
+) -> str | None:
     """Why the check does not believe a registration; None if it does."""
-    given: Any = check.reject(result, T_guess)
+    ask = check.reject if has_motion else check.reject_first
+    given: Any = ask(result, T_guess)
     if _is_ours(type(check)):
         return given
     if given is not None and not isinstance(given, str):

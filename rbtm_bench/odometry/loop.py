@@ -66,6 +66,7 @@ def odometry(
             edge = None
             if recent:
                 selection = _select(ready, window, recent, work)
+                ready.record.pick = rows.first_pick(window, selection, method.selector)
                 edge = _register(ready, window, recent, selection, work)
                 if edge is None and left_out >= method.selector.patience:
                     edge = _restart(ready, window, recent, work)
@@ -200,7 +201,8 @@ def _attempt(
             if method.guess_along_degenerate is not None:
                 record.kept_guess = unseen(result, method.guess_along_degenerate)
                 result = remap(result, T_guess, method.guess_along_degenerate)
-            why_not = checked.rejection(method.check, result, T_guess)
+            has_motion = method.guess.has_motion(recent)
+            why_not = checked.rejection(method.check, result, T_guess, has_motion)
         spent = time.perf_counter() - built - (0.0 if result.reused else result.seconds)
         record.t_register_s += result.seconds
         record.t_check_s += max(0.0, spent)

@@ -8,7 +8,8 @@ import numpy as np
 
 from rbtm_bench.core.types import Step, StepRecord
 from rbtm_bench.odometry.degeneracy import unseen
-from rbtm_bench.selection.base import Trial
+from rbtm_bench.selection.base import Selection, Selector, Trial
+from rbtm_bench.selection.window import Window
 
 
 def fill(record: StepRecord, chosen: Trial, reason: str, threshold: float | None) -> None:
@@ -27,6 +28,20 @@ def fill(record: StepRecord, chosen: Trial, reason: str, threshold: float | None
     if result.information is not None:
         record.information = result.information.ravel()
     record.localizability = result.localizability  # its axes: ``finished``
+
+
+def first_pick(window: Window, selection: Selection, selector: Selector) -> str:
+    """Which member a selector with scores would try first in a full window (one of
+    ``step_columns.PICKS``), before any check; "" of any other."""
+    members = len(window)
+    if not selector.needs_scores or members < window.capacity:
+        return ""
+    if selection.undefined == members:
+        return "undefined"
+    if not selection.chosen:
+        return "none"
+    position = window.position(next(iter(selection.candidates)).model)
+    return "oldest" if position == 0 else "newest" if position == members - 1 else "middle"
 
 
 def finished(steps: Sequence[Step]) -> Sequence[Step]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.core.columns import MAIN
 from rbtm_bench.report.frame import METHOD
-from rbtm_bench.report.render import is_empty
+from rbtm_bench.report.render import WINNER, is_empty
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,6 +18,9 @@ ERRORS = tuple((column.name, column.unit, column.title) for column in MAIN)
 
 BEST = (*METHOD, "seeds", "replicates", "status", "coverage")
 """The columns of the table of best settings, before the errors, ms_per_scan and tried."""
+
+BOUND = "oracle"
+"""The selector that sees the truth: a bound, it wins nothing."""
 
 MOST_LISTED = 4
 """Names or sentences of a kind at most, so that a screen holds all."""
@@ -29,6 +32,45 @@ SECOND = {column.name: column.beside for column in MAIN}
 def main_error(table: pd.DataFrame) -> tuple[str, str, str] | None:
     """Key, unit and name of the first of ``ERRORS`` that a row has."""
     return next((e for e in ERRORS if e[0] in table and table[e[0]].notna().any()), None)
+
+
+def main_errors(table: pd.DataFrame) -> list[str]:
+    """The keys of the main errors of its data sets."""
+    errors = (main_error(rows) for _, rows in table.groupby("data", sort=False, dropna=False))
+    return list(dict.fromkeys(error[0] for error in errors if error))
+
+
+def champion(rows: pd.DataFrame, key: str) -> pd.Series[Any] | None:
+    """The ``winner`` over all rows of a data set but those that see the truth; of equal ones one
+    without a threshold, which did it for less."""
+    rows = rows[rows["selector"] != BOUND]
+    won = winner(rows, key)
+    if won is None or "threshold" not in rows:
+        return won
+    plain = rows[(rows[key] == won[key]) & rows["threshold"].isna()]
+    simpler = winner(plain, key)
+    return won if simpler is None or simpler["status"] != won["status"] else simpler
+
+
+def ranked(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows of every data set by their main error, the ``champion`` first and marked in
+    ``render.WINNER``; those without a number last. A table that is marked stays as it is."""
+    import pandas as pd
+
+    if WINNER in table:
+        return table
+    parts = []
+    for _, rows in table.groupby("data", sort=False, dropna=False):
+        error = main_error(rows)
+        won = None if error is None else champion(rows, error[0])
+        if error is not None:
+            known = rows[error[0]].astype(float)
+            rows = rows.loc[known.sort_values(kind="stable", na_position="last").index]
+        if won is not None:
+            rows = rows.loc[[won.name, *(i for i in rows.index if i != won.name)]]
+        marks = ["*" if won is not None and i == won.name else "" for i in rows.index]
+        parts.append(rows.assign(**{WINNER: marks}))
+    return pd.concat(parts)[[WINNER, *table]] if parts else table
 
 
 def best(table: pd.DataFrame) -> pd.DataFrame:

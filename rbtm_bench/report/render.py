@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +28,64 @@ SHORT = (
 )
 """The columns of the table at the end of ``compare``."""
 
-ALWAYS = ("backend", "selector", "tried")
+WINNER = "won"
+"""The column that marks the winner of a data set with a star."""
+
+ALWAYS = (WINNER, "backend", "selector", "tried")
+
+
+LAST_TO_GO = ("status", "seeds", "replicates", "coverage", "decided", "ms_per_scan")
+"""Columns that a narrow terminal loses last, in this order; before them all others from the right,
+except those that are always kept."""
+HEAD = 2
+"""Characters that tabulate leaves beside a header."""
+TOLD = 3
+"""Columns left out that are named."""
+NARROWEST = 16
+"""Characters that a wrapped cell has at least."""
+
+
+def terminal_width() -> int:
+    """Characters of a line: COLUMNS, or those of the terminal, or 100."""
+    return shutil.get_terminal_size((100, 24)).columns
+
+
+def fitted(table: pd.DataFrame, keep: Sequence[str]) -> list[str]:
+    """The table as text that fits the terminal, and what it lost for that: columns first, in the
+    order of ``LAST_TO_GO``, then the widest words are wrapped once."""
+    table = with_references(table)
+    table = table[[c for c in table if not all(is_empty(v) for v in table[c])]]
+    words = table.map(word_of)
+    heads = {c: max(map(len, _stacked(str(c)).split("\n"))) + HEAD for c in table}
+    widths = {c: max([heads[c], *map(len, words[c])]) for c in table}
+    order = [c for c in reversed(list(table)) if c not in keep and c not in LAST_TO_GO]
+    order += [c for c in LAST_TO_GO if c in table and c not in keep]
+    dropped: list[str] = []
+    while _excess(widths) > 0 and order:
+        dropped.append(order.pop(0))
+        del widths[dropped[-1]]
+    if (over := _excess(widths)) > 0:
+        widest = max(widths, key=lambda c: widths[c])
+        room = max(widths[widest] - over, NARROWEST)
+        cells = [_wrapped(cell, room) for cell in words[widest]]
+        table = table.assign(**{widest: cells})
+    lines = [render(table[list(widths)], "text")]
+    if dropped:
+        more = [f"{len(dropped) - TOLD} more"] if len(dropped) > TOLD else []
+        words = ", ".join([*map(str, dropped[:TOLD]), *more])
+        width = terminal_width()
+        note = f"left out at {width} characters (see --columns, -f csv): {words}"
+        lines += textwrap.wrap(note, width, subsequent_indent="  ")
+    return lines
+
+
+def _excess(widths: dict[str, int]) -> int:
+    return sum(widths.values()) + 2 * (len(widths) - 1) - terminal_width()
+
+
+def _wrapped(cell: str, room: int) -> str:
+    """A cell on at most two lines; what does not fit is left out."""
+    return "\n".join(textwrap.wrap(cell, room, max_lines=2, placeholder=" ..."))
 
 
 def render(table: pd.DataFrame, fmt: str) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.core.columns import COLUMNS
 from rbtm_bench.core.files import write_text
-from rbtm_bench.report import best_settings, frame, render, verdict
+from rbtm_bench.report import answer, best_settings, frame, render, verdict
 from rbtm_bench.report.frame import MethodRuns
 from rbtm_bench.report.replicates import OF_MAIN, data_set, number_of, spread
 from rbtm_bench.runs import stored
@@ -36,9 +36,11 @@ def of_run(out: Path) -> str:
     row = frame.row(run)
     head = f"{row['dataset']}, {row['backend']}, {row['selector']}"
     lines = [f"{head}: {row['scans']} scans in {row['seconds']:.1f} s", *key_numbers(row)]
+    lines += [words] if (words := answer.dead_words(run)) else []
     if run.record.get("skipped_records"):
         lines.append(f"  {run.record['skipped_records']} malformed records were skipped")
     lines.append(f"results in {out}   (figures: rbtm-bench plot {out})")
+    lines += ["", *answer.answer(frame.methods([run]), str(out))]
     return "\n".join(lines)
 
 
@@ -90,6 +92,7 @@ def of_runs(out: Path, tables: RunTables) -> str:
     lines += [f"warning: {line}" for line in comparison_warnings(runs)]
     lines.append(f"a row a run: {out / 'table.csv'}; a row a method: {out / 'summary.csv'}")
     lines.append(f"figures: rbtm-bench plot {out}")
+    lines += ["", *answer.answer(tables.of_methods, str(out))]
     return "\n".join(lines)
 
 
@@ -108,16 +111,18 @@ def of_best(best: pd.DataFrame) -> list[str]:
     """A table of best settings and its notes."""
     columns, main = best_settings.best_columns(best)
     names = [f"{name} ({unit})" for key, unit, name in best_settings.ERRORS if key in main]
-    order = f", within a backend by {' or '.join(names)}" if names else ""
+    order = f", by {' or '.join(names)}" if names else ""
     table = _with_same(best, columns, (*render.ALWAYS, *main))
     return [f"the best setting of every method{order}:", *table, *best_settings.chances(best)]
 
 
 def _with_same(table: pd.DataFrame, columns: Sequence[str], keep: Sequence[str]) -> list[str]:
     """A table as text, what is the same in every row, and what its numbers are."""
-    table, columns, keep = _with_spread(table, columns, keep)
+    table = best_settings.ranked(table)
+    keep = (*keep, *best_settings.main_errors(table))
+    table, columns, keep = _with_spread(table, [render.WINNER, *columns], keep)
     shown, same = render.screen_table(table, columns, keep)
-    lines = [render.render(shown, "text")]
+    lines = render.fitted(shown, keep)
     lines += [f"the same in every row: {same}"] if same else []
     seeds = int(table["seeds"].max()) if table["seeds"].notna().any() else 1
     if "quartiles" in shown:

@@ -50,6 +50,7 @@ def verdict(
             f"of the best control, {label(rival)}, {three_digits(rival[key])} {unit}: "
             f"{_words(best, rival, key, pairs)}"
         )
+        line += "; its threshold never decided" if best.get("decided") == 0 else ""
         others = {"previous": known[known.selector == "previous"]}
         others = {} if rival.selector == "previous" else others
         others["no registration"] = table[(table.data == data) & (table.backend == "none")]
@@ -95,6 +96,8 @@ def _words(ours: pd.Series[Any], other: pd.Series[Any], key: str, pairs: Pairs) 
         seeds = [row["seeds"] for row in (ours, other) if is_numeric_cell(row.get("seeds"))]
         runs = int(min(seeds, default=1))
         comparison = better.of_runs(float(ours[key]), float(other[key]), runs)
+    if comparison.holds == "better" and ours.get("decided") == 0:  # it is a control itself
+        return "rbtm is not called better: its threshold never decided (column decided)"
     return comparison.words("rbtm")
 
 

@@ -37,7 +37,7 @@ from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.metrics.base import Metric
 from rbtm_bench.metrics.cost import peak_memory_mb
 from rbtm_bench.metrics.relation_errors import FILE as RELATIONS
-from rbtm_bench.metrics.summary import summarise_steps
+from rbtm_bench.metrics.summary import REGISTERED, summarise_steps, why_unregistered
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.odometry.system import system_odometry
@@ -119,6 +119,7 @@ def _recorded(
     """The run, and how it ended in its ``run.json``."""
     try:
         record |= _execute(parts, settings, out, progress)
+        _refuse_dead(parts, record)
         _refuse_changes(parts, settings)
         record["status"] = "done"
         record["dropped_points"] = parts.dataset.dropped()
@@ -265,10 +266,21 @@ def _refuse_changes(parts: Parts, settings: Settings) -> None:
         raise RunError(f"{names} changed {changed[0]}{others}")
 
 
+def _refuse_dead(parts: Parts, record: dict[str, Any]) -> None:
+    """Raise ``RunError`` if a method that is no baseline has registered no scan at all."""
+    method = parts.method if isinstance(parts.method, System) else parts.method.backend
+    asked = len(parts.dataset) - 1
+    if asked < 1 or record["registered"] or getattr(method, "is_baseline", False):
+        return
+    why = record["why_unregistered"]
+    raise RunError(f"none of {asked} scans was registered" + (f": {why}" if why else ""))
+
+
 def _execute(
     parts: Parts, settings: Settings, out: Path, progress: Progress | None
 ) -> dict[str, Any]:
-    """The loop and its files; returns the loop's wall time in s and the trajectory's checksum."""
+    """The loop and its files; returns the loop's wall time in s, how many scans were registered
+    (and why others were not), and the trajectory's checksum."""
     started = time.perf_counter()
     dataset = parts.dataset
     steps, poses = StepTable(), []
@@ -310,6 +322,8 @@ def _execute(
         _write_pictures(parts, estimate, float(settings.config["map_resolution"]), out)
     return {
         "seconds": seconds,
+        "registered": sum(status in REGISTERED for status in steps["status"]),
+        "why_unregistered": why_unregistered(steps),
         "trajectory_sha256": evaluation.checksum(estimate, dataset.scored_from),
     }
 

@@ -68,3 +68,12 @@ def test_the_distance_is_that_of_the_correction_not_of_the_motion() -> None:
 def test_accept_all() -> None:
     hopeless = result(se2(1000, 0, 1), converged=False, fitness=0.0)
     assert AcceptAll().reject(hopeless, GUESS) is None
+
+
+def test_no_distance_from_a_guess_that_knows_no_motion() -> None:
+    """A car's first motion is further than any gate: only fit and convergence are asked for."""
+    far = result(GUESS @ se2(3.0, 0.0, 0.0))
+    assert Gated().reject(far, GUESS) == "3.00 m from the guess"
+    assert Gated().reject_first(far, GUESS) is None
+    assert Gated().reject_first(result(fitness=0.1), GUESS) == "fitness 0.10 < 0.3"
+    assert Gated().reject_first(result(converged=False), GUESS) == "not converged"

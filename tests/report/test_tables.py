@@ -279,3 +279,9 @@ def test_no_verdict_without_both_sides(rows: list[dict[str, Any]]) -> None:
 def test_figures_have_three_digits() -> None:
     words = [render.three_digits(v) for v in (0.123456, 12.345, 123.45, 12345.6, 2e7)]
     assert words == ["0.123", "12.3", "123", "12346", "2e+07"]
+
+
+def test_a_threshold_that_never_decided_is_said() -> None:
+    rows = [method("previous", 100.0), method("rbtm", 20.0, decided=0.0)]
+    (line,) = verdict.verdict(frame(*rows))
+    assert line.endswith("5 times lower on this run; its threshold never decided.")
