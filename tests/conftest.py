@@ -40,3 +40,11 @@ def cases_dir(data_dir: Path) -> Path:
     if not folder.is_dir():
         pytest.skip(f"{folder}: the folder of small cases beside RBTM_BENCH_DATA is not there")
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_kernels() -> None:
+    """On a fresh machine kernels are compiled first: no time limit of a test is for that."""
+    from rbtm_bench.odometry import judge
+
+    judge.compile_kernels()

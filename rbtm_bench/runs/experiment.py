@@ -119,8 +119,8 @@ def _recorded(
     """The run, and how it ended in its ``run.json``."""
     try:
         record |= _execute(parts, settings, out, progress)
-        _refuse_dead(parts, record)
         _refuse_changes(parts, settings)
+        _refuse_dead(parts, record)
         record["status"] = "done"
         record["dropped_points"] = parts.dataset.dropped()
     except BaseException as error:
@@ -272,7 +272,7 @@ def _refuse_dead(parts: Parts, record: dict[str, Any]) -> None:
     asked = len(parts.dataset) - 1
     if asked < 1 or record["registered"] or getattr(method, "is_baseline", False):
         return
-    why = record["why_unregistered"]
+    why = one_line(record["why_unregistered"], 200)
     raise RunError(f"none of {asked} scans was registered" + (f": {why}" if why else ""))
 
 

@@ -98,6 +98,9 @@ class Selection:
         self.candidates, self.undefined = candidates, undefined
         self.chosen = chosen if chosen is not None else sum(not c.is_fallback for c in candidates)
 
+    def __repr__(self) -> str:
+        return f"Selection({tuple(self.candidates)!r}, undefined={self.undefined})"
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Selection):
             return NotImplemented

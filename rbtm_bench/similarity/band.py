@@ -28,7 +28,9 @@ class Band:
             return
         past = self._descriptors if scans[0] == self._next else None
         together = descriptors if past is None else np.concatenate([past, descriptors])
-        band = self.similarity.band(together, self.width + 1, len(together) - len(scans))
+        skipped = len(together) - len(scans)
+        first = {"first": skipped} if skipped else {}  # a stranger's may know whole logs alone
+        band = self.similarity.band(together, self.width + 1, **first)
         self._scores = checked_scores(self.similarity, band, (len(scans), self.width))
         self._first = int(scans[0])
         self._next, self._descriptors = int(scans[-1]) + 1, together[-self.width :]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -31,6 +32,8 @@ from rbtm_bench.cli import main
 from rbtm_bench.core.columns import COLUMNS
 from rbtm_bench.metrics.final_pose import FinalPose
 evaluate = FinalPose.evaluate
+from rbtm_bench.core.columns import family
+FinalPose.columns = {**FinalPose.columns, **family("new")}
 FinalPose.evaluate = lambda self, *words: {**evaluate(self, *words), "new_mm": 3.5}
 out = Path(sys.argv[1])
 small = ["dataset.scans=6", "dataset.beams=91", "backend=none", "selector=previous"]
@@ -60,7 +63,9 @@ assert "| `new_step` | float | m | a new step |" in step_rows()
 
 def test_a_number_added_in_one_place_stands_everywhere(tmp_path: Path) -> None:
     command = [sys.executable, "-c", ADD, str(tmp_path / "runs")]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=tmp_path, env={**os.environ, "COLUMNS": "300"}
+    )
     assert done.returncode == 0, done.stderr
 
 

@@ -58,7 +58,9 @@ def test_more_memory_than_allowed_is_a_row(tmp_path: Path, command: str) -> None
     assert time.monotonic() - began < 60.0
     *greedy, calm = rows(out).values()
     for row in greedy:
-        found = re.fullmatch(r"more than memory_limit=500 MB \((\d+) MB\)", row["reason"])
+        found = re.fullmatch(
+            r"backend=moody: more than memory_limit=500 MB \((\d+) MB\)", row["reason"]
+        )
         assert row["status"] == "failed" and found is not None, row
         assert 500 < int(found[1]) < 1500
     assert calm["status"] == "done"
@@ -68,7 +70,9 @@ def test_more_memory_than_allowed_is_a_row(tmp_path: Path, command: str) -> None
 def test_a_memory_limit_of_one_run(tmp_path: Path) -> None:
     words = ("run", "backend=moody", "backend.how=gobble", *SMALL, *MOODY, f"out={tmp_path / 'o'}")
     code, _, err = call(*words, "memory_limit=500")
-    assert code == 1 and err.startswith("rbtm-bench: more than memory_limit=500 MB (")
+    assert code == 1 and err.startswith(
+        "rbtm-bench: backend=moody: more than memory_limit=500 MB ("
+    )
     assert record_of(tmp_path / "o")["status"] == "failed"
     for wrong in ("0", "-1", "much"):
         code, _, err = call(*words, f"memory_limit={wrong}")

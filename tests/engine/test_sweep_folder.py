@@ -29,10 +29,10 @@ def test_failures_of_a_sweep_are_rows(tmp_path: Path, launcher: str) -> None:
     assert code == 1 and "4 of 6 runs failed" in err
     assert [(row["status"], row["reason"]) for row in rows(out).values()] == [
         ("done", ""),
-        ("failed", "ZeroDivisionError: division by zero"),
-        ("failed", "the process died: signal 11 (SIGSEGV)"),
-        ("failed", "time limit of 5 s"),
-        ("failed", "the process died: exit code 3"),
+        ("failed", "backend=moody: ZeroDivisionError: division by zero"),
+        ("failed", "backend=moody: the process died: signal 11 (SIGSEGV)"),
+        ("failed", "backend=moody: time limit of 5 s"),
+        ("failed", "backend=moody: the process died: exit code 3"),
         ("done", ""),
     ]
     assert record_of(out / "5")["command"].startswith("rbtm-bench sweep backend=moody")
@@ -92,7 +92,7 @@ def test_bad_data_stop_a_sweep_before_it_begins(tmp_path: Path, launcher: str, w
 def test_a_time_limit_of_one_run(tmp_path: Path) -> None:
     words = ("run", "backend=moody", "backend.how=hang", *SMALL, *MOODY, f"out={tmp_path}")
     code, _, err = call(*words, "time_limit=1")
-    assert code == 1 and err == "rbtm-bench: time limit of 1 s\n"
+    assert code == 1 and err == "rbtm-bench: backend=moody: time limit of 1 s\n"
     assert record_of(tmp_path)["status"] == "failed"
     for wrong in ("0", "-1", "soon"):
         code, _, err = call(*words, f"time_limit={wrong}")
