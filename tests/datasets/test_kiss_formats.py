@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from cloud_helpers import write_cloud
 from mutants import cloud
-from rbtm_bench.datasets.simulated_hall import write_cloud
 
 from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError, DataError
