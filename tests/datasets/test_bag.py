@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bag_writer import START, Entry, Messages, drive
-from mutants import cloud
+from reader_mutants import cloud
 from rosbags import rosbag1
 
 from rbtm_bench.cli.commands import main

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bag_writer import START, Messages, drive
-from mutants import POINTS, Format, cloud, mutated, outcome
+from reader_mutants import POINTS, Format, cloud, mutated, outcome
 
 from rbtm_bench.datasets.bag import Bag
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from cloud_helpers import write_cloud
-from mutants import cloud
+from reader_mutants import cloud
 
 from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError, DataError

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mutants import FORMATS, mutated, outcome
+from reader_mutants import FORMATS, mutated, outcome
 
 FEW, MANY = 20, 200
 

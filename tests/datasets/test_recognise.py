@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cloud_helpers import write_cloud
-from mutants import FORMATS, cloud, log
+from reader_mutants import FORMATS, cloud, log
 
 from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import DataError

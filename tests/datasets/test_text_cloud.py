@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mutants import cloud
+from reader_mutants import cloud
 
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.datasets.cloud_files import read_points
