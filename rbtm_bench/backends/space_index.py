@@ -88,11 +88,7 @@ def _hashed(
 
 @kernel
 def nearest_in_space(
-    points: Array,
-    cells: NDArray[np.int64],
-    start: NDArray[np.int64],
-    table: NDArray[np.int64],
-    width: float,
+    index: SpaceIndex,
     x: float,
     y: float,
     z: float,
@@ -100,6 +96,7 @@ def nearest_in_space(
 ) -> tuple[int, float]:
     """The place in ``points`` of the one nearest to (x, y, z) m and its squared distance (m^2), if
     that is less than ``best``, at most the width squared; else -1 and ``best``."""
+    points, cells, start, table, width = index
     nearest = -1
     cx, cy, cz = int(np.floor(x / width)), int(np.floor(y / width)), int(np.floor(z / width))
     fx, fy, fz = x - cx * width, y - cy * width, z - cz * width
@@ -125,17 +122,14 @@ def nearest_in_space(
 
 @kernel
 def neighbours_in_space(
-    points: Array,
-    cells: NDArray[np.int64],
-    start: NDArray[np.int64],
-    table: NDArray[np.int64],
-    width: float,
+    index: SpaceIndex,
     place: int,
     places: NDArray[np.int64],
     squares: Array,
 ) -> int:
     """Fill ``places`` and ``squares`` (both (K,)) with the nearest points of one of them that lie
     within the width, itself first; returns how many those are, at most K."""
+    points, cells, start, table, width = index
     x, y, z = points[place, 0], points[place, 1], points[place, 2]
     cx, cy, cz = int(np.floor(x / width)), int(np.floor(y / width)), int(np.floor(z / width))
     count, reach = 0, width * width

@@ -65,13 +65,6 @@ def adjoint(T: Array) -> Array:
     )
 
 
-def information_in_source_frame(information: Array, T_target_source: Array) -> Array:
-    """The information (6, 6) of a small motion d = (x, y, z, rx, ry, rz) in the target's frame,
-    exp(d) T_target_source, as that of one in the source's frame, T_target_source exp(d)."""
-    A = adjoint(T_target_source)
-    return symmetric(A.T @ information @ A)
-
-
 def symmetric(M: Array) -> Array:
     """Matrices (..., n, n) that are symmetric but for rounding, without that: a product such as
     A.T M A is symmetric to its last bit on some processors only."""

@@ -160,7 +160,7 @@ def to_numbers(
     try:
         values = list(map(float, words))
     except ValueError:
-        bad = next(word for word in words if not _is_number(word))
+        bad = next(word for word in words if not is_number(word))
         raise DataError.at(path, line, field, f"a number, {quoted(bad)}") from None
     if b"_" in b"".join(words):  # 1_5 is a number to Python alone
         bad = next(word for word in words if b"_" in word)
@@ -180,7 +180,8 @@ def quoted(word: bytes) -> str:
     return f"{text!r} found" if text else "none found"
 
 
-def _is_number(word: bytes) -> bool:
+def is_number(word: bytes) -> bool:
+    """Whether a word of a file reads as a number."""
     try:
         float(word)
     except ValueError:

@@ -117,11 +117,3 @@ def scan_walls(segments: ArrayLike, poses: Array, angles: Array, max_range: floa
     local = np.stack([np.cos(angles), np.sin(angles), np.zeros(len(angles))], axis=-1)
     directions = local[None] @ np.swapaxes(poses[:, :3, :3], -1, -2)
     return cast(make_scene(walls_mesh(segments)), poses[:, None, :3, 3], directions, max_range)
-
-
-def scan_cloud(scene: Any, pose: Array, directions: Array, max_range: float) -> Array:
-    """Noise-free ranges (R,) m of a 3D scan from ``pose`` (4, 4) T_world_sensor.
-
-    ``directions`` (R, 3) are in the sensor frame.
-    """
-    return cast(scene, pose[:3, 3], directions @ pose[:3, :3].T, max_range)

@@ -9,7 +9,7 @@ import numpy as np
 
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.types import Array
-from rbtm_bench.datasets.files import data_lines, quoted, read_bytes, to_numbers
+from rbtm_bench.datasets.files import data_lines, is_number, quoted, read_bytes, to_numbers
 
 Row = tuple[int, list[bytes]]
 
@@ -25,7 +25,7 @@ def read_text(path: Path, columns: Sequence[int] | None) -> tuple[Array, bool]:
     if len(rows) > 1 and len(rows[0][1]) == 1 and rows[0][1][0] == str(len(rows) - 1).encode():
         rows = rows[1:]
     names = [word.strip(b'"').lower() for word in rows[0][1]] if rows else []
-    if names and not any(_is_number(word) for word in names):
+    if names and not any(is_number(word) for word in names):
         rows = rows[1:]
         if columns is None and all(name in names for name in (b"x", b"y", b"z")):
             columns = [names.index(name) for name in (b"x", b"y", b"z")]
@@ -54,11 +54,3 @@ def _numbers(path: Path, rows: list[Row], columns: Sequence[int]) -> Array:
             for line, words in rows
         ]
         return np.array(values)
-
-
-def _is_number(word: bytes) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

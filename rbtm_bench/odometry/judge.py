@@ -89,8 +89,8 @@ def compile_kernels() -> None:
     time."""
     plane_sums(*plane_index(np.eye(3)), np.eye(3), np.eye(4), 9.0)
     cells = space_index(np.eye(3), 1.0)
-    places, _ = space_matches(*cells, np.eye(3), np.eye(4), 1.0, 1)
-    spreads(*cells, places, SURFACE_NEIGHBOURS)
+    places, _ = space_matches(cells, np.eye(3), np.eye(4), 1.0, 1)
+    spreads(cells, places, SURFACE_NEIGHBOURS)
     rigidity(np.eye(4))
     apart(np.eye(4), np.eye(4))
     symmetric_information(np.eye(6), True)
@@ -116,7 +116,7 @@ def evaluate(
         return _evaluate_2d(source, target, T_target_source, radius)
     step = max(1, -(-len(source.points) // most))
     index = target.cells(radius)
-    places, squares = space_matches(*index, source.points, T_target_source, radius, step)
+    places, squares = space_matches(index, source.points, T_target_source, radius, step)
     inlier = np.flatnonzero(places >= 0)
     count = len(inlier)
     rmse = math.sqrt(squares / count) if count else math.nan
@@ -144,7 +144,7 @@ def _localizability_3d(
     """Of matched source points (M, 3) and the places (M,) of their target points."""
     if len(points) < MIN_SURFACE:
         return None
-    counts, spread = spreads(*index, places, SURFACE_NEIGHBOURS)
+    counts, spread = spreads(index, places, SURFACE_NEIGHBOURS)
     has_normal = counts >= MIN_SURFACE
     if has_normal.sum() < MIN_SURFACE:
         return None

@@ -58,6 +58,39 @@ def _normal(xx: float, xy: float, yy: float) -> tuple[float, float]:
 
 
 @kernel
+def _matches(
+    along: Array,
+    across: Array,
+    start: NDArray[np.int64],
+    frame: Array,
+    source: Array,
+    T: Array,
+    square: float,
+    places: NDArray[np.int64],
+) -> tuple[float, float]:
+    """Fill ``places`` (N,) with the match of every source point nearer than the root of ``square``,
+    -1 for none; how many those are, and their squared distances (m^2)."""
+    c, s, x, y = T[0, 0], T[1, 0], T[0, 3], T[1, 3]
+    count, squares, last, turned = 0.0, 0.0, -1, frame[2] != 0.0
+    for i in range(len(source)):
+        u = c * source[i, 0] - s * source[i, 1] + x
+        v = s * source[i, 0] + c * source[i, 1] + y
+        if turned:
+            u, v = v, u
+        best, place = square, -1
+        if last >= 0:  # a neighbouring beam's match is a good bound
+            bound = (along[last] - u) ** 2 + (across[last] - v) ** 2
+            if bound < best:
+                best, place = bound, last
+        places[i], best = nearest(along, across, start, frame, u, v, best, place)
+        if places[i] >= 0:
+            count += 1.0
+            squares += best
+            last = places[i]
+    return count, squares
+
+
+@kernel
 def plane_sums(
     target: Array,
     start: NDArray[np.int64],
@@ -70,26 +103,10 @@ def plane_sums(
     to those of a ``PlaneIndex``. At most ``MAX_MATCHES`` matches, spread evenly, get a normal; of
     fewer than ``MIN_SURFACE`` points within ``radius`` m of a target point there is none."""
     along, across = target[0], target[1]
-    c, s, x, y = T[0, 0], T[1, 0], T[0, 3], T[1, 3]
+    c, s, square, turned = T[0, 0], T[1, 0], radius * radius, frame[2] != 0.0
     places = np.empty(len(source), np.int64)
     out = np.zeros(SUMS)
-    square, last, turned = radius * radius, -1, frame[2] != 0.0
-    for i in range(len(source)):
-        u = c * source[i, 0] - s * source[i, 1] + x
-        v = s * source[i, 0] + c * source[i, 1] + y
-        if turned:
-            u, v = v, u
-        best, place = square, -1
-        if last >= 0:
-            bound = (along[last] - u) ** 2 + (across[last] - v) ** 2
-            if bound < best:
-                best, place = bound, last
-        place, best = nearest(along, across, start, frame, u, v, best, place)
-        places[i] = place
-        if place >= 0:
-            out[COUNT] += 1.0
-            out[SQUARES] += best
-            last = place
+    out[COUNT], out[SQUARES] = _matches(along, across, start, frame, source, T, square, places)
     step = max(1, -(-int(out[COUNT]) // MAX_MATCHES))
     H, seen = np.zeros((3, 3)), 0
     reach = _reaches(along, radius)

@@ -5,18 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench.backends.space_index import nearest_in_space, neighbours_in_space
+from rbtm_bench.backends.space_index import SpaceIndex, nearest_in_space, neighbours_in_space
 from rbtm_bench.core.kernels import kernel
 from rbtm_bench.core.types import Array
 
 
 @kernel
 def space_matches(
-    target: Array,
-    cells: NDArray[np.int64],
-    start: NDArray[np.int64],
-    table: NDArray[np.int64],
-    width: float,
+    target: SpaceIndex,
     source: Array,
     T: Array,
     radius: float,
@@ -31,9 +27,7 @@ def space_matches(
         x = T[0, 0] * a + T[0, 1] * b + T[0, 2] * c + T[0, 3]
         y = T[1, 0] * a + T[1, 1] * b + T[1, 2] * c + T[1, 3]
         z = T[2, 0] * a + T[2, 1] * b + T[2, 2] * c + T[2, 3]
-        places[k], best = nearest_in_space(
-            target, cells, start, table, width, x, y, z, radius * radius
-        )
+        places[k], best = nearest_in_space(target, x, y, z, radius * radius)
         if places[k] >= 0:
             squares += best
     return places, squares
@@ -41,11 +35,7 @@ def space_matches(
 
 @kernel
 def spreads(
-    target: Array,
-    cells: NDArray[np.int64],
-    start: NDArray[np.int64],
-    table: NDArray[np.int64],
-    width: float,
+    target: SpaceIndex,
     places: NDArray[np.int64],
     most: int,
 ) -> tuple[NDArray[np.int64], Array]:
@@ -55,15 +45,15 @@ def spreads(
     scatter = np.zeros((len(places), 3, 3))
     near, squares = np.empty(most, np.int64), np.empty(most)
     for m in range(len(places)):
-        count = neighbours_in_space(target, cells, start, table, width, places[m], near, squares)
+        count = neighbours_in_space(target, places[m], near, squares)
         counts[m] = count
         mean = np.zeros(3)
         for k in range(count):
             for i in range(3):
-                mean[i] += target[near[k], i] / count
+                mean[i] += target.points[near[k], i] / count
         for k in range(count):
             for i in range(3):
                 for j in range(3):
-                    first = target[near[k], i] - mean[i]
-                    scatter[m, i, j] += first * (target[near[k], j] - mean[j]) / count
+                    first = target.points[near[k], i] - mean[i]
+                    scatter[m, i, j] += first * (target.points[near[k], j] - mean[j]) / count
     return counts, scatter

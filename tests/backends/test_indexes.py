@@ -57,7 +57,7 @@ def test_what_is_known_already_stays_where_nothing_is_nearer() -> None:
 @given(clouds(3), st.tuples(COORDINATE, COORDINATE, COORDINATE), st.floats(0.01, 60.0))
 def test_the_nearest_in_space_is_the_nearest_of_all(cloud, point, radius) -> None:
     index = space_index(cloud, radius)
-    place, square = nearest_in_space(*index, *point, radius**2)
+    place, square = nearest_in_space(index, *point, radius**2)
     squares = ((cloud - point) ** 2).sum(axis=1)
     if squares.min() < radius**2:
         assert square == pytest.approx(squares.min(), rel=1e-12)
@@ -71,7 +71,7 @@ def test_the_nearest_in_space_is_the_nearest_of_all(cloud, point, radius) -> Non
 def test_neighbours_in_space_are_the_nearest_within_the_radius(cloud, radius, most) -> None:
     index = space_index(cloud, radius)
     places, squares = np.empty(most, np.int64), np.empty(most)
-    count = neighbours_in_space(*index, 0, places, squares)
+    count = neighbours_in_space(index, 0, places, squares)
     every = np.sort(((index.points - index.points[0]) ** 2).sum(axis=1))
     expected = every[every < radius**2][:most]
     np.testing.assert_allclose(squares[:count], expected, rtol=1e-12)
@@ -83,11 +83,11 @@ def test_a_point_on_the_border_of_a_cell_is_found() -> None:
     for x in np.arange(-30, 30) * 0.3:
         cloud = np.array([[x, 0.0, 0.0], [x + 50.0, 0.0, 0.0]])
         for offset in (-0.2999, 0.2999, -1e-12, 1e-12, 0.0):
-            place, square = nearest_in_space(*space_index(cloud, 0.3), x + offset, 0, 0, 0.09)
+            place, square = nearest_in_space(space_index(cloud, 0.3), x + offset, 0, 0, 0.09)
             assert place >= 0 and square == pytest.approx(offset**2, abs=1e-9)
 
 
 def test_far_from_the_origin_cells_are_still_numbers() -> None:
     cloud = np.array([[1e12, 0.0, 0.0], [0.0, 0.0, 0.0]])
-    place, _ = nearest_in_space(*space_index(cloud, 0.3), 0.1, 0.0, 0.0, 0.09)
+    place, _ = nearest_in_space(space_index(cloud, 0.3), 0.1, 0.0, 0.0, 0.09)
     assert place >= 0

@@ -17,7 +17,6 @@ from rbtm_bench.backends.open3d_symmetric import Open3DSymmetric
 from rbtm_bench.contract.scene import WORLDS, rotation
 from rbtm_bench.core.geometry import (
     adjoint,
-    information_in_source_frame,
     inverse,
     se2,
     se3,
@@ -35,6 +34,14 @@ METHODS: list[type[Open3DICP]] = [
 PLANE = np.ix_([0, 1, 5], [0, 1, 5])
 ROTATION_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
 MOTION = se3([0.9, -0.4, 0.2], rotation((0.2, -0.5, 1), 35))
+
+
+def information_in_source_frame(information: Array, T_target_source: Array) -> Array:
+    """Information (6, 6) of a small motion in the target's frame, exp(d) T, as that of one in the
+    source's, T exp(d)."""
+    A = adjoint(T_target_source)
+    moved: Array = A.T @ information @ A
+    return moved
 
 
 def small_motion(d: Array) -> Array:

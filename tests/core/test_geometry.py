@@ -10,7 +10,6 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
 from rbtm_bench.core.geometry import (
-    information_in_source_frame,
     inverse,
     is_rigid,
     rotation_angle,
@@ -138,13 +137,6 @@ def test_symmetric_is_so_to_the_last_bit_and_leaves_what_is_so():
     np.testing.assert_array_equal(S, np.swapaxes(S, 1, 2))
     np.testing.assert_array_equal(symmetric(S), S)
     np.testing.assert_array_equal(S[2], (M[2] + M[2].T) / 2)
-
-
-@given(T=motions())
-def test_information_in_another_frame_is_symmetric(T):
-    J = np.random.default_rng(0).normal(size=(20, 6))
-    found = information_in_source_frame(symmetric(J.T @ J), T)
-    np.testing.assert_array_equal(found, found.T)
 
 
 def test_to_rotation_of_a_reflection_is_right_handed():

@@ -16,7 +16,6 @@ from rbtm_bench.datasets.raycast import (
     merge,
     pillar_mesh,
     rectangle,
-    scan_cloud,
     scan_walls,
     walls_mesh,
 )
@@ -76,7 +75,8 @@ def test_a_cloud_is_seen_from_the_pose_of_the_sensor() -> None:
     scene = make_scene(box_mesh((-1, -2, 0), (4, 5, 6)))
     quarter_turn = se3([0, 0, 1], [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
     directions = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, -1]])
-    ranges = scan_cloud(scene, quarter_turn, directions, 100.0)
+    turned = directions @ quarter_turn[:3, :3].T
+    ranges = cast(scene, quarter_turn[:3, 3], turned, 100.0)
     np.testing.assert_allclose(ranges, [5, 1, 5, 1], rtol=1e-6)
 
 
