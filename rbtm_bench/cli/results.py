@@ -128,6 +128,23 @@ def _columns(
     return rows[shown], shown
 
 
+def _add_choice(parser: argparse.ArgumentParser) -> None:
+    """Options that choose settings on other data than are shown."""
+    choice = parser.add_mutually_exclusive_group()
+    choice.add_argument(
+        "--held-out",
+        action="store_true",
+        help="for every data set, backend and selector the setting that did best on the other "
+        "data sets",
+    )
+    choice.add_argument(
+        "--choose-on",
+        metavar="KEY=VALUES",
+        help="the same with settings chosen on the runs with these values (seed=100,101,102, "
+        "dataset.environment=paper), and the others shown",
+    )
+
+
 def _table_parser() -> argparse.ArgumentParser:
     from rbtm_bench.report import render
 
@@ -164,19 +181,7 @@ def _table_parser() -> argparse.ArgumentParser:
         metavar="METHOD",
         help="a row a method: paired differences from this one, with intervals and tests",
     )
-    choice = parser.add_mutually_exclusive_group()
-    choice.add_argument(
-        "--held-out",
-        action="store_true",
-        help="for every data set, backend and selector the setting that did best on the other "
-        "data sets",
-    )
-    choice.add_argument(
-        "--choose-on",
-        metavar="KEY=VALUES",
-        help="the same with settings chosen on the runs with these values (seed=100,101,102, "
-        "dataset.environment=paper), and the others shown",
-    )
+    _add_choice(parser)
     parser.add_argument(
         "--metric", metavar="A,B", help="with --intervals, --against: these, not the main error"
     )

@@ -41,8 +41,6 @@ def against(
     Raises ``ConfigError`` for a reference that is no method of these runs, or several, and for a
     metric of which less is not better without the truth beside it.
     """
-    import pandas as pd
-
     for key in metrics:
         if references_of(runs, key):
             raise ConfigError(
@@ -77,6 +75,13 @@ def against(
             row["holds"] = replace(by_replicates, p_holm=p, tests=tests).holds
         else:
             row["holds"] = _holds(row)
+    return _in_order(rows)
+
+
+def _in_order(rows: Sequence[dict[str, Any]]) -> pd.DataFrame:
+    """The rows as a table, its columns in the order in which they are read."""
+    import pandas as pd
+
     columns = [*METHOD, "status", *choice_of(rows[0]), "reference", "reference_status", "metric"]
     columns += ["error", "reference_error", "difference", "difference_low", "difference_high"]
     ratios = ["ratio", "ratio_low", "ratio_high", "ratio_n", "margin"]
