@@ -30,6 +30,7 @@ def make_run(
     data: dict[str, Any] | None = None,
     fingerprint: str | None = None,
     told: dict[str, Any] | None = None,
+    guess: str = "",
     **settings: Any,
 ) -> Path:
     """A run's files; without metrics it failed. ``settings`` are the selector's, ``told`` what
@@ -40,6 +41,7 @@ def make_run(
     write_text(path / "config.yaml", yaml.safe_dump(config))
     status = "failed" if metrics is None else "done"
     choices = {"dataset": dataset, "backend": backend, "selector": selector}
+    choices |= {"guess": guess} if guess else {}
     record = {"status": status, "choices": choices, "seed": seed, "scans": 11}
     write_json(path / "run.json", {**record, "dataset_fingerprint": fingerprint, **(told or {})})
     if metrics is not None:

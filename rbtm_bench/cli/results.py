@@ -45,6 +45,7 @@ docs/statistics.md says how, docs/metrics.md defines every metric."""
 def table(words: list[str]) -> int:
     """``rbtm-bench table PATH...``: runs as a table on standard output."""
     from rbtm_bench.report import answer, best_settings, render
+    from rbtm_bench.report.replicates import number_of
 
     options = _table_parser().parse_args(words)
     if options.metric and not (options.intervals or options.against):
@@ -75,20 +76,33 @@ def table(words: list[str]) -> int:
         if options.format == "text":
             print("\n".join(["", *answer.answer(frame.methods(runs), _places(options))]))
         return 0
-    rows = frame.over_seeds(runs) if options.over_seeds else frame.frame(runs)
+    as_text = options.format == "text"
+    has_copies = any(map(number_of, runs))  # a row a method, as "better" is said of
+    by_method = options.over_seeds or (as_text and has_copies)
+    rows = frame.over_seeds(runs) if by_method else frame.frame(runs)
     rows = _arranged(rows, options)
-    if options.format == "text":
-        keep = ["run", *render.ALWAYS, *best_settings.main_errors(rows)]
-        print("\n".join(render.fitted(*_columns(rows, options.columns, keep))))
-        methods = frame.methods(runs)
-        if options.over_seeds:
-            methods = [methods[i] for i in sorted(rows.index)]
-        else:
-            methods = frame.methods([runs[i] for i in sorted(rows.index)])
-        print("\n".join(["", *answer.answer(methods, _places(options))]))
+    if as_text:
+        _print_rows(runs, rows, by_method, options)
         return 0
     print(render.render(_columns(rows, options.columns)[0], options.format))
     return 0
+
+
+def _print_rows(
+    runs: Sequence[Run], rows: pd.DataFrame, by_method: bool, options: argparse.Namespace
+) -> None:
+    """The table as text, and the answer of the rows that are in it."""
+    from rbtm_bench.report import answer, best_settings, render, screen
+
+    kept = sorted(rows.index)
+    methods = frame.methods(runs) if by_method else frame.methods([runs[i] for i in kept])
+    methods = [methods[i] for i in kept] if by_method else methods
+    if by_method and not options.columns:
+        lines = screen.with_same(rows, render.SHORT, render.ALWAYS)
+    else:
+        keep = ["run", *render.ALWAYS, *best_settings.main_errors(rows)]
+        lines = render.fitted(*_columns(rows, options.columns, keep))
+    print("\n".join([*lines, "", *answer.answer(methods, _places(options))]))
 
 
 def _places(options: argparse.Namespace) -> str:
@@ -225,12 +239,15 @@ def _print_chosen(chosen: Sequence[MethodRuns], fmt: str, columns: str | None) -
     if columns:
         rows = rows[render.existing_columns(rows, columns)]
     elif fmt == "text":
-        rows, same = render.screen_table(rows, names, (*render.ALWAYS, *main))
+        keep = (*render.ALWAYS, *main)
+        rows, same = render.screen_table(rows, names, keep)
         notes = [f"the same in every row: {same}", *notes] if same else notes
+        print("\n".join(render.fitted(rows, keep)))
+        return _say(notes, fmt)
     elif fmt not in ("csv", "json"):
         rows = rows[names]
     print(render.render(rows, fmt))
-    _say(notes, fmt)
+    return _say(notes, fmt)
 
 
 def _print_statistics(
@@ -256,11 +273,15 @@ def _print_statistics(
     elif options.format == "text":
         descriptive = [*frame.METHOD, "seeds", "status", "unit", "reference", "reference_status"]
         descriptive += ["metric"]
-        keep = [*render.ALWAYS, *(c for c in rows if c not in descriptive)]
-        rows, same = render.screen_table(rows, list(rows), keep)
+        numbers = [c for c in rows if c not in descriptive]
+        rows, same = render.screen_table(rows, list(rows), [*render.ALWAYS, *numbers])
         notes = [f"the same in every row: {same}", *notes] if same else notes
+        keep = [*render.ALWAYS, "settings", "holds", "p_holm", "ratio", *numbers[:1]]
+        keep += ["metric"] if "metric" in rows and rows["metric"].nunique() > 1 else []
+        print("\n".join(render.fitted(rows, keep)))
+        return _say(notes, options.format)
     print(render.render(rows, options.format))
-    _say(notes, options.format)
+    return _say(notes, options.format)
 
 
 def _print_best(best: pd.DataFrame, fmt: str, columns: str | None) -> None:
@@ -282,8 +303,13 @@ def _print_best(best: pd.DataFrame, fmt: str, columns: str | None) -> None:
 def _say(lines: Sequence[str], fmt: str) -> None:
     """Print the notes of a table: below it, or on standard error where that would not be a
     table any more."""
+    from rbtm_bench.report import render
+
+    if fmt == "text":
+        print("\n".join(render.in_width(lines)))
+        return
     for line in lines:
-        print(line, file=sys.stdout if fmt == "text" else sys.stderr)
+        print(line, file=sys.stderr)
 
 
 def _warn(runs: Sequence[Run]) -> None:

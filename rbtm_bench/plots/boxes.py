@@ -52,7 +52,7 @@ def draw(runs: Sequence[Run]) -> Iterator[tuple[str, Figure]]:
         drawn = methods.draw_part(place, part, columns, False, _draw_panel)
         n = _same_n(part)
         each = "n runs a method" if n is None else f"n = {n} runs a method"
-        title = f"{part.name}: {part.error} over seeds, {each}"
+        title = f"{part.name}: {part.error} over {groups.repeats(group)}, {each}"
         figure.suptitle(style.wrapped(title, width))
         style.legend_below(figure, _legend(part), columns=4 if width == style.DOUBLE else 2)
         methods.centre(figure, [drawn])

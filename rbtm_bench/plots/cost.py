@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from rbtm_bench.plots import labels, panels, style
+from rbtm_bench.plots import groups, labels, panels, style
 from rbtm_bench.plots.groups import FEW, Data
 from rbtm_bench.plots.heatmaps import short
 from rbtm_bench.plots.looks import GUESS, Look, looks
@@ -30,20 +30,31 @@ FAR = 1e6
 FRONT: dict[str, Any] = {"color": "0.45", "lw": 1.4, "ls": "-"}
 LINK: dict[str, Any] = {"color": "0.65", "lw": 0.6, "ls": "-"}
 """Between the methods of a backend."""
+SPREAD: dict[str, Any] = {"color": "0.35", "lw": 0.8, "ls": "-"}
+"""From quartile to quartile of the error."""
+FEWEST = 4
+"""Runs from which on quartiles mean something."""
 PARTIAL = 0.35
 """Opacity of a method of which a run failed."""
 
 
 @dataclass(frozen=True, eq=False)
 class CostPoint:
-    """Medians over a method's runs: ``time`` ms a scan, ``error`` in the data set's unit.
-    ``whole`` is False if a run failed, or has no error."""
+    """Medians over a method's runs: ``time`` ms a scan, ``error`` in the data set's unit, with its
+    ``quartiles`` over four runs or more. ``whole`` is False if a run failed, or has no error."""
 
     backend: str
     method: str
     time: float
     error: float
     whole: bool
+    quartiles: tuple[float, float] | None = None
+
+    def scaled(self, factor: float) -> CostPoint:
+        """The same in another unit."""
+        ends = self.quartiles
+        ends = None if ends is None else (factor * ends[0], factor * ends[1])
+        return replace(self, error=factor * self.error, quartiles=ends)
 
 
 def draw(data: Data) -> Iterator[Figure]:
@@ -57,7 +68,7 @@ def draw(data: Data) -> Iterator[Figure]:
         return
     guess = labels.value(data.guess, key) if data.guess is not None else None
     if unit == "mm" and max(point.error for point in points) >= labels.LARGE:
-        points = [replace(point, error=1e-3 * point.error) for point in points]
+        points = [point.scaled(1e-3) for point in points]
         unit, guess = "m", None if guess is None else 1e-3 * guess
     width = style.SINGLE if len(points) <= SMALL else style.DOUBLE
     height = 3.4 if width == style.SINGLE else 4.2 if len(points) <= LABELLED else 5.2
@@ -67,6 +78,8 @@ def draw(data: Data) -> Iterator[Figure]:
     own = _by_selector(data)
     for point in points:
         look = own[point.method].mark | ({} if point.whole else {"alpha": PARTIAL})
+        if point.quartiles is not None:
+            ax.plot([point.time] * 2, point.quartiles, **SPREAD, zorder=3)
         ax.plot(point.time, point.error, **look, ls="", zorder=4)
     best = front(points)
     corners = _draw_front(ax, best)
@@ -85,8 +98,9 @@ def draw(data: Data) -> Iterator[Figure]:
 
 
 def _title(data: Data, note: str) -> str:
-    seeds = max(len(method.runs) for panel in data.panels for method in panel.methods)
-    medians = f"medians of {seeds} seeds" if seeds > 1 else ""
+    most = max(len(method.counted) for panel in data.panels for method in panel.methods)
+    medians = f"medians of {most} {groups.repeats(data.runs)}" if most > 1 else ""
+    medians += " (bars: quartiles)" if most >= FEWEST else ""
     return ", ".join(filter(None, [f"{data.name}: accuracy against time", medians, note]))
 
 
@@ -94,6 +108,10 @@ def _names(
     ax: Axes, data: Data, points: Sequence[CostPoint], best: Sequence[CostPoint]
 ) -> tuple[list[Label], str]:
     """What to write beside which points, and a note on it for the title."""
+    if len(data.panels) == 1 and len(set(data.methods.values())) == 1:  # settings of one selector
+        selector = next(iter(data.methods.values()))
+        own = {p: p.method.removeprefix(f"{selector}, ") for p in points}
+        return [Label(name, ((p.time, p.error),)) for p, name in own.items()], ""
     if len(data.panels) <= LINKED and max(len(p.methods) for p in data.panels) <= FEW:
         return [Label(backend, places) for backend, places in _link(ax, points).items()], ""
     settings = len(set(data.methods.values())) < len(data.methods)
@@ -126,12 +144,15 @@ def read(data: Data, key: str) -> list[CostPoint]:
     out = []
     for panel in data.panels:
         for method in panel.methods:
-            both = [(labels.value(run, TIME), labels.value(run, key)) for run in method.runs]
+            both = [(labels.value(run, TIME), labels.value(run, key)) for run in method.counted]
             known = [(t, e) for t, e in both if t is not None and e is not None]
             if known:
                 time, error = np.median(known, axis=0)
                 whole = len(known) == len(both) and not method.failed
-                out.append(CostPoint(panel.name, method.name, float(time), float(error), whole))
+                ends = np.quantile([e for _, e in known], [0.25, 0.75]).tolist()
+                ends = (ends[0], ends[1]) if len(known) >= FEWEST else None
+                name = panel.name, method.name
+                out.append(CostPoint(*name, float(time), float(error), whole, ends))
     return [point for point in out if point.time > 0 and point.error > 0]
 
 

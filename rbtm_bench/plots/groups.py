@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from rbtm_bench.plots import labels
 from rbtm_bench.report import frame
+from rbtm_bench.report.replicates import counted, number_of
 from rbtm_bench.runs.stored import Run
 
 FEW = 6
@@ -16,13 +17,18 @@ FEW = 6
 
 @dataclass(frozen=True, eq=False)
 class Method:
-    """A selector with its settings. ``runs`` are those that are done and differ in their seed
-    alone, the lowest seed first; ``failed`` counts those that are not done."""
+    """A selector with its settings. ``runs`` are those that are done and differ in their seed or
+    replicate alone, the lowest first; ``failed`` counts those that are not done."""
 
     name: str
     selector: str
     runs: list[Run]
     failed: int
+
+    @property
+    def counted(self) -> list[Run]:
+        """The runs whose errors stand for the method: where there are replicates, those."""
+        return counted(self.runs)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +80,11 @@ class Data:
         note = "of several settings of a selector the first"
         panels = [panel for panel in kept if panel.methods]
         return Data(self.stem, self.name, self.runs, panels, self.guess), note
+
+
+def repeats(runs: Sequence[Run]) -> str:
+    """What runs of one method differ in: "replicates" or "seeds"."""
+    return "replicates" if any(map(number_of, runs)) else "seeds"
 
 
 def by_data(runs: Sequence[Run]) -> list[tuple[str, str, list[Run]]]:

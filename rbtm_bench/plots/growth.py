@@ -14,7 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from rbtm_bench.core.types import Array
 from rbtm_bench.metrics.ape import Ape
-from rbtm_bench.plots import labels, panels, style
+from rbtm_bench.plots import groups, labels, panels, style
 from rbtm_bench.plots.folder import Paths, read_paths
 from rbtm_bench.plots.groups import Data, Panel
 from rbtm_bench.plots.looks import GUESS, Look, looks
@@ -100,7 +100,7 @@ def draw(data: Data) -> Iterator[Figure]:
 
     words = [f"{data.name}: position error of every scan (APE), {ALIGNED[align]}", note]
     if seeds > 1:
-        words.append(f"median of {seeds} seeds")
+        words.append(f"median of {seeds} {groups.repeats(data.runs)}")
     title = ", ".join(word for word in words if word)
     handles = _handles(own, banded, guess is not None)
     yield from panels.pages(few.panels, COLUMNS, TALL, panel, title, handles)
@@ -134,7 +134,7 @@ def _handles(own: dict[str, Look], band: bool, guess: bool) -> list[Any]:
         panels.handle(name, **look.line, **look.mark) for name, look in own.items()
     ]
     if band:
-        handles.append(Patch(color=style.BLACK, **BAND, label="smallest to largest of the seeds"))
+        handles.append(Patch(color=style.BLACK, **BAND, label="smallest to largest"))
     if guess:
         handles.append(panels.handle("the guess alone", **GUESS))
     return handles

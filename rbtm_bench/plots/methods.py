@@ -15,6 +15,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 
 from rbtm_bench.plots import labels, style
 from rbtm_bench.plots.groups import method_names
+from rbtm_bench.report.replicates import counted
 from rbtm_bench.runs.stored import Run
 
 PANELS_IN_A_LINE = 4
@@ -152,13 +153,21 @@ def _data(
     words = labels.varying(runs, "backend")
     title = {run: ", ".join([labels.choice(run, "backend"), *words[run]]) for run in runs}
     cells: dict[tuple[str, Row], list[float | None]] = {}
-    for run in sorted(runs, key=labels.method_order):
+    for run in sorted(_counted(runs), key=labels.method_order):
         row = (style.wrapped(names[run], NAMES), labels.choice(run, "selector") == "rbtm")
         number = labels.value(run, key) if run.done else None
         cells.setdefault((title[run], row), []).append(number)
     panels = list(dict.fromkeys(title[run] for run in runs))
     rows = list(dict.fromkeys(row for _, row in cells))
     return MethodErrors(name, unit, what, panels, rows, cells, guess)
+
+
+def _counted(runs: Sequence[Run]) -> list[Run]:
+    """The runs that stand for their methods: where there are replicates, those."""
+    by_method: dict[str, list[Run]] = {}
+    for run in runs:
+        by_method.setdefault(run.method, []).append(run)
+    return [run for group in by_method.values() for run in counted(group)]
 
 
 def _guess(runs: Sequence[Run], key: str) -> float | None:

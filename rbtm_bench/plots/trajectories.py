@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.types import Array
-from rbtm_bench.plots import labels, panels, style
+from rbtm_bench.plots import groups, labels, panels, style
 from rbtm_bench.plots.folder import read_paths
 from rbtm_bench.plots.groups import Data, Panel
 from rbtm_bench.plots.looks import GUESS, TRUTH, Look, looks
@@ -75,7 +75,8 @@ def draw(data: Data) -> Iterator[Figure]:
     if stretch > 1:
         words.append(labels.unbroken(f"y stretched {stretch:g}\N{MULTIPLICATION SIGN}"))
     if seeds and any(len(method.runs) > 1 for p in few.panels for method in p.methods):
-        words.append(labels.unbroken(f"seed {min(seeds):g}"))
+        has_seeds = groups.repeats(data.runs) == "seeds"
+        words.append(labels.unbroken(f"seed {min(seeds):g}" if has_seeds else "data as they are"))
     title = ", ".join([*words, note] if note else words)
     yield from panels.pages(
         few.panels, COLUMNS, TALL, panel, title, _handles(own, lines), equal=True

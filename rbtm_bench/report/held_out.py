@@ -13,11 +13,13 @@ import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import fmean, median
 from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.report import best_settings, frame
 from rbtm_bench.report.frame import METHOD, MethodRuns
+from rbtm_bench.report.replicates import counted, number_of
 from rbtm_bench.runs.stored import Run, is_number
 
 if TYPE_CHECKING:
@@ -278,7 +280,8 @@ def _best(settings: Sequence[_Setting], names: Sequence[str]) -> tuple[_Setting 
     number on them.
 
     Of those with the fewest runs that lack an error the one with the least mean over data sets
-    of the mean logarithm; over those data sets that all of them have a number on.
+    of the mean logarithm (of replicates: the median); over those data sets that all of them have
+    a number on.
     """
     lost = [0] * len(settings)
     logs: list[dict[str, float]] = [{} for _ in settings]
@@ -290,7 +293,7 @@ def _best(settings: Sequence[_Setting], names: Sequence[str]) -> tuple[_Setting 
             of_runs = _logs(group, key)
             lost[k] += most - len(of_runs)
             if of_runs:
-                logs[k][name] = sum(of_runs) / len(of_runs)
+                logs[k][name] = _middle(group, key)
     left = [k for k in range(len(settings)) if lost[k] == min(lost) and logs[k]]
     left = left or [k for k in range(len(settings)) if logs[k]]
     common = [name for name in names if all(name in logs[k] for k in left)]
@@ -318,6 +321,13 @@ def _main_key(runs: Sequence[Run]) -> str | None:
 def _error(run: Run, key: str) -> float | None:
     value: Any = run.metrics.get(key) if run.done else None
     return float(value) if is_number(value) and math.isfinite(value) else None
+
+
+def _middle(runs: Sequence[Run], key: str | None) -> float:
+    """The mean logarithm over runs; with replicates the median over those that differ."""
+    if any(map(number_of, runs)):
+        return median(_logs(counted(runs), key) or _logs(runs, key))
+    return fmean(_logs(runs, key))
 
 
 def _logs(runs: Sequence[Run], key: str | None) -> list[float]:

@@ -32,8 +32,9 @@ def against(
     """A row a method and metric: how it differs from the reference on the same data.
 
     ``reference`` names a selector, a backend, or both, with as many settings as make it one
-    method ("previous", "selector=keyframe distance=0.3", "backend=none"). What it leaves open is
-    the same on both sides. ``p_holm`` is adjusted for all tests of the table; ``holds`` says
+    method ("previous", "selector=keyframe distance=0.3", "backend=none"), or a member of another
+    group ("guess=odometry"). The backend and the selector that it leaves open are the same on
+    both sides. ``p_holm`` is adjusted for all tests of the table; ``holds`` says
     "better" or "worse" (for what is no error, "lower" or "higher") only where it is below 0.05,
     the interval excludes 0, and no run of the side that would win has failed. ``methods``: these
     instead of all (``held_out.leave_one_out``).
@@ -111,8 +112,6 @@ def _words(reference: str, methods: Sequence[MethodRuns]) -> dict[str, str]:
             known = f"known {key}s: {', '.join(names[key])}"
             raise ConfigError(f"--against {reference}: no {key} {value} in these runs; {known}")
         words[key] = value
-    if "selector" not in words and "backend" not in words:
-        raise ConfigError(f"--against {reference}: expected a selector or a backend, and more")
     return words
 
 
@@ -153,6 +152,8 @@ def _label(row: dict[str, Any], named: Collection[str]) -> str:
         values = {key: row[key] for key in ("window", "threshold") if row[key] is not None}
         parts += [f"{key}={value:g}" for key, value in values.items()]
         parts += [row["settings"]] if row["settings"] else []
+    if isinstance(named, dict) and not {"backend", "selector"} & named.keys():
+        parts = [f"{key}={value}" for key, value in named.items()]
     return " ".join(parts)
 
 

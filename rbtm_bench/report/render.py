@@ -73,10 +73,15 @@ def fitted(table: pd.DataFrame, keep: Sequence[str]) -> list[str]:
     if dropped:
         more = [f"{len(dropped) - TOLD} more"] if len(dropped) > TOLD else []
         words = ", ".join([*map(str, dropped[:TOLD]), *more])
-        width = terminal_width()
-        note = f"left out at {width} characters (see --columns, -f csv): {words}"
-        lines += textwrap.wrap(note, width, subsequent_indent="  ")
+        lines += in_width([f"left out at {terminal_width()} characters (-f csv has all): {words}"])
     return lines
+
+
+def in_width(lines: Sequence[str]) -> list[str]:
+    """Sentences, wrapped for the terminal."""
+    wrap = textwrap.TextWrapper(terminal_width(), subsequent_indent="  ", break_on_hyphens=False)
+    wrap.break_long_words = False  # paths stay whole
+    return [part for line in lines for part in wrap.wrap(line)]
 
 
 def _excess(widths: dict[str, int]) -> int:
@@ -142,8 +147,11 @@ def screen_table(
     shown = table[accompanied(table, [c for c in columns if c in table])]
     if len(table) < 2:
         return shown, ""
+    equal = [c for c in shown if len({word_of(v) for v in shown[c]}) == 1]
+    if any(c in shown and c not in equal for c in METHOD):  # what tells the rows apart has the room
+        keep = [c for c in keep if c not in METHOD or c not in equal]
     keep = (*keep, *accompanied(shown, judged(shown)))
-    same = [c for c in shown if c not in keep and len({word_of(v) for v in shown[c]}) == 1]
+    same = [c for c in equal if c not in keep]
     words = [f"{c} {word_of(shown[c].iloc[0])}" for c in same if word_of(shown[c].iloc[0])]
     return shown.drop(columns=same), ", ".join(words)
 

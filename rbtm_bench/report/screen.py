@@ -100,11 +100,11 @@ def overview(methods: pd.DataFrame, best: pd.DataFrame) -> list[str]:
     """The best setting of every method, and all methods if they fit a screen: one table where
     both would be the same."""
     if len(best) == len(methods) <= LONG:
-        return _with_same(methods, render.SHORT, render.ALWAYS)
+        return with_same(methods, render.SHORT, render.ALWAYS)
     lines = of_best(best)
     if len(methods) > LONG:
         return [*lines, f"the table of all {len(methods)} methods is not printed, only written"]
-    return [*lines, "", "all:", *_with_same(methods, render.SHORT, render.ALWAYS)]
+    return [*lines, "", "all:", *with_same(methods, render.SHORT, render.ALWAYS)]
 
 
 def of_best(best: pd.DataFrame) -> list[str]:
@@ -112,27 +112,27 @@ def of_best(best: pd.DataFrame) -> list[str]:
     columns, main = best_settings.best_columns(best)
     names = [f"{name} ({unit})" for key, unit, name in best_settings.ERRORS if key in main]
     order = f", by {' or '.join(names)}" if names else ""
-    table = _with_same(best, columns, (*render.ALWAYS, *main))
+    table = with_same(best, columns, (*render.ALWAYS, *main))
     return [f"the best setting of every method{order}:", *table, *best_settings.chances(best)]
 
 
-def _with_same(table: pd.DataFrame, columns: Sequence[str], keep: Sequence[str]) -> list[str]:
+def with_same(table: pd.DataFrame, columns: Sequence[str], keep: Sequence[str]) -> list[str]:
     """A table as text, what is the same in every row, and what its numbers are."""
     table = best_settings.ranked(table)
     keep = (*keep, *best_settings.main_errors(table))
     table, columns, keep = _with_spread(table, [render.WINNER, *columns], keep)
     shown, same = render.screen_table(table, columns, keep)
-    lines = render.fitted(shown, keep)
-    lines += [f"the same in every row: {same}"] if same else []
+    lines = render.fitted(shown, (*keep, *frame.METHOD))  # what tells the rows apart stays
+    notes = [f"the same in every row: {same}"] if same else []
     seeds = int(table["seeds"].max()) if table["seeds"].notna().any() else 1
     if "quartiles" in shown:
-        lines.append(
+        notes.append(
             "medians over distinct replicates (perturbed copies of the data); beside the main "
             "error its quartiles, the worst, and the run on the data as they are"
         )
     elif seeds > 1:
-        lines.append(f"medians over the runs of a method that differ only in their seed ({seeds})")
-    return lines
+        notes.append(f"medians over the runs of a method that differ only in their seed ({seeds})")
+    return [*lines, *render.in_width(notes)]
 
 
 def _with_spread(

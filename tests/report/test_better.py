@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from stat_helpers import MM, make_replicates, make_run, make_seeds, shown
 
+from rbtm_bench.plots import cost, groups
+from rbtm_bench.plots import methods as plot_methods
 from rbtm_bench.report import better, frame, intervals, margin, paired, screen, verdict
 from rbtm_bench.report.better import REPLICATES, Comparison, adjusted, exact_p, needed
 from rbtm_bench.report.margin import DEFAULT, Margin, margin_of
@@ -180,6 +182,37 @@ def test_a_comparison_says_what_its_better_took(tmp_path: Path, capsys: Any) -> 
     assert all(f"{MM}{end}" in out.splitlines()[0] for end in ends)
     out, _ = shown(capsys, str(tmp_path), "--intervals")
     assert "(10)" in out and "over its replicates" in out
+
+
+def test_tables_of_replicates_fit_and_say_what_tells_rows_apart(
+    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    for guess, factor in {"odometry": 1.0, "odometry_chained": 0.5}.items():
+        errors = [factor * v for v in TEN]
+        make_replicates(tmp_path, "rbtm", errors, name=guess, guess=guess)
+    for options in ([], ["--intervals"], ["--against", "guess=odometry"]):
+        out, _ = shown(capsys, str(tmp_path), *options)
+        assert max(map(len, out.splitlines())) <= 100
+        assert "guess=odometry_chained" in out and "odometry-3" not in out  # a row a method
+    assert "0.5 [0.5, 0.5] (10)" in out  # the ratio of this method to the reference
+    every, _ = shown(capsys, str(tmp_path), "-f", "csv")
+    assert len(every.splitlines()) == 21  # a row a run
+
+
+def test_figures_show_replicates_and_not_the_run_beside_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cost, "TIME", MM)
+    make_replicates(tmp_path, "rbtm", TEN, unperturbed=500.0, same=[9, 10])
+    make_replicates(tmp_path, "previous", [2 * v for v in TEN], unperturbed=500.0)
+    runs = stored.find_runs([tmp_path])
+    (part,) = plot_methods.data_parts(runs)
+    assert sorted(map(len, part.cells.values())) == [9, 10] and max(part.values) == 38.0
+    (data,) = groups.data_sets(runs)
+    points = {point.method: point for point in cost.read(data, MM)}
+    assert points["previous"].error == 29.0 and points["previous"].quartiles == (24.5, 33.5)
+    assert groups.repeats(runs) == "replicates" and points["rbtm"].scaled(0.1).error == 1.4
 
 
 def test_the_spread_of_a_method(tmp_path: Path) -> None:
