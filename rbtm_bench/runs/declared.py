@@ -9,12 +9,24 @@ from typing_extensions import TypedDict
 
 from rbtm_bench.core.kinds import Kind, Seed
 
-PLUGIN_GROUPS = ("dataset", "backend", "similarity", "selector", "guess", "check", "target")
+PLUGIN_GROUPS = (
+    "dataset",
+    "backend",
+    "similarity",
+    "selector",
+    "guess",
+    "search",
+    "check",
+    "target",
+)
 GROUPS = (*PLUGIN_GROUPS, "metrics")
+ADDED = {"search": "none"}
+"""Groups that older runs do not name, with the member that does what was done before."""
 FOR_PAIRS = (
     "similarity",
     "selector",
     "guess",
+    "search",
     "check",
     "target",
     "guess_along_degenerate",

@@ -17,6 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from rbtm_bench.core.kinds import Kind
 from rbtm_bench.runs.declared import (
+    ADDED,
     FOR_PAIRS,
     GROUPS,
     PERTURB,
@@ -65,7 +66,7 @@ class Identity:
             seeds |= {"replicate": [config["replicate"], config.get("seed")]}
         if any(key.startswith("perturb.") for key in parts[Kind.DATA]):
             seeds |= {"perturb": config.get("seed")}
-        kept = {group: name for group, name in choices.items() if group not in idle}
+        kept = {g: name for g, name in choices.items() if g not in idle and ADDED.get(g) != name}
         return cls(parts[Kind.WHAT], parts[Kind.DATA], {**seeds, **folders}, kept)
 
     @cached_property
