@@ -25,3 +25,6 @@ class Check(ABC):
         """As ``reject``, for a guess that knows of no motion yet (``Guess.has_motion``): what lies
         between it and the result is the motion itself. By default no different."""
         return self.reject(result, T_guess)
+
+    def accept(self, result: RegistrationResult) -> None:  # noqa: B027 (for a check that learns)
+        """A registration that gave a scan its pose: what a check may compare later ones with."""

@@ -35,6 +35,7 @@ STEPS = (
         "first",
     ),
     StepColumn("reason", "str", "", "why this model scan, or why none", ""),
+    StepColumn("recovered", "str", "", "the restart it came from; empty: from the guess", ""),
     StepColumn("converged", "bool", "", "whether the library says so; False below 3 inliers"),
     StepColumn("fitness", "float", "share", "source points with a target point in the radius"),
     StepColumn("inlier_rmse_m", "float", "m", "RMS distance of those"),
@@ -117,6 +118,14 @@ SUMS = (
         table=True,
         screen=True,
         line="registrations rejected",
+    ),
+    Column(
+        "steps",
+        "recovered",
+        "count",
+        "scans registered from another start after the check had refused the guess's",
+        "steps",
+        table=True,
     ),
     Column(
         "steps",

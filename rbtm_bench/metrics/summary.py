@@ -34,6 +34,7 @@ def summarise_steps(steps: StepTable, peak_memory_mb: float | None = None) -> Va
         "coverage": len(registered) / (len(steps) - 1) if len(steps) > 1 else None,
         "registrations": sum(steps["registrations"]),
         "rejected": sum(steps["rejected"]),
+        "recovered": sum(bool(name) for name in steps["recovered"]),
         "fallbacks": status.count("fallback"),
         "skipped": status.count("skipped"),
         "longest_skip": _longest_skip(status),

@@ -1,4 +1,5 @@
-"""What to do where the scan cannot see the motion: keep the guess along those directions."""
+"""What to do where the scan cannot see the motion: keep the guess along those directions, wholly
+(``remap``) or as far as the scan holds less than the guess (``fused``)."""
 
 from __future__ import annotations
 
@@ -7,7 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from rbtm_bench.core.geometry import inverse, se2, se3, yaw
-from rbtm_bench.core.types import Array, RegistrationResult
+from rbtm_bench.core.types import Array, Localizability, RegistrationResult
+
+GUESS_STD, GUESS_TURN_STD, GUESS_SHARE = 0.01, 0.005, 0.1
+MATCH_STD, MATCHES_PER_MEASUREMENT = 0.03, 10
+"""What ``fused`` takes for granted; ``weight`` scales all of it."""
 
 
 def remap(result: RegistrationResult, T_guess: Array, threshold: float) -> RegistrationResult:
@@ -25,12 +30,44 @@ def remap(result: RegistrationResult, T_guess: Array, threshold: float) -> Regis
     if not (values < threshold).any():
         return result
     kept = vectors[:, values >= threshold]
-    planar = len(values) == 3
-    scale = np.ones(len(values))
-    scale[2 if planar else slice(3, 6)] = held.lever
+    planar, scale = _scale(held)
     moved = _vector(inverse(T_guess) @ result.T_target_source, planar) * scale
     seen = kept @ (kept.T @ moved) / scale
     return replace(result, T_target_source=T_guess @ _motion(seen, planar))
+
+
+def fused(result: RegistrationResult, T_guess: Array, weight: float) -> RegistrationResult:
+    """The registration and its guess, each by its information (a weak prior: ``weight`` of the
+    guess's counts). Where the scan holds the motion the guess moves it by next to nothing; along
+    a direction that it does not see, the guess stands.
+
+    The guess is taken to be off by ``GUESS_STD`` m and ``GUESS_SHARE`` of its distance, and by
+    ``GUESS_TURN_STD`` rad and the same share of its turn; a match by ``MATCH_STD`` m, of which one
+    in ``MATCHES_PER_MEASUREMENT`` counts, since neighbouring beams see the same surface.
+    Fitness and RMSE stay those of the registration; without localizability it is kept as it is.
+    """
+    held = result.localizability
+    if held is None:
+        return result
+    planar, scale = _scale(held)
+    step = _vector(T_guess, planar)
+    turns = slice(2, 3) if planar else slice(3, 6)
+    std = np.full(len(scale), GUESS_STD + GUESS_SHARE * float(np.linalg.norm(T_guess[:3, 3])))
+    turn = GUESS_TURN_STD + GUESS_SHARE * float(np.linalg.norm(step[turns]))
+    std[turns] = turn * held.lever
+    prior = np.diag(weight / std**2)
+    measured = held.matrix * (result.inliers / (MATCHES_PER_MEASUREMENT * MATCH_STD**2))
+    moved = _vector(inverse(T_guess) @ result.T_target_source, planar) * scale
+    both = np.linalg.solve(measured + prior, measured @ moved) / scale
+    return replace(result, T_target_source=T_guess @ _motion(both, planar))
+
+
+def _scale(held: Localizability) -> tuple[bool, Array]:
+    """Whether it is of the plane, and metres per unit of x, y, (z,) and the turns."""
+    planar = len(held.matrix) == 3
+    scale = np.ones(len(held.matrix))
+    scale[2 if planar else slice(3, 6)] = held.lever
+    return planar, scale
 
 
 def unseen(result: RegistrationResult, threshold: float) -> int:

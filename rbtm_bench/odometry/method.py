@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from rbtm_bench.check.base import Check
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.guess.base import Guess
 from rbtm_bench.odometry import checked, judge
+from rbtm_bench.recovery.base import Recovery
+from rbtm_bench.recovery.none import NoRecovery
 from rbtm_bench.selection.base import Selector
 from rbtm_bench.selection.window import Window
 from rbtm_bench.similarity.band import Band
@@ -32,6 +34,8 @@ class Method:
     target: Target
     guess_along_degenerate: float | None = None
     """Keep the guess along directions of less localizability than this; None: never."""
+    recovery: Recovery = field(default_factory=NoRecovery)
+    """What follows a registration that the check refuses."""
     judge_points: int = judge.MAX_POINTS
     """Points of a cloud in space that a registration is judged by, at most."""
 

@@ -56,7 +56,9 @@ def row(run: Run, label: str = "", data: str = "") -> dict[str, Any]:
     return ordered
 
 
-LABELLED = ("similarity", "guess", "search", "check", "target", "metrics", "backend", "")
+LABELLED = (
+    *("similarity", "guess", "search", "check", "recovery", "target", "metrics", "backend", ""),
+)
 """The groups whose differences a label names, beside the selector's; "": settings outside all."""
 COLUMNED = ("selector.window", "selector.threshold")
 """Settings that have columns of their own."""

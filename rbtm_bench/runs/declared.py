@@ -17,10 +17,11 @@ PLUGIN_GROUPS = (
     "guess",
     "search",
     "check",
+    "recovery",
     "target",
 )
 GROUPS = (*PLUGIN_GROUPS, "metrics")
-ADDED = {"search": "none"}
+ADDED = {"search": "none", "recovery": "none"}
 """Groups that older runs do not name, with the member that does what was done before."""
 FOR_PAIRS = (
     "similarity",
@@ -28,6 +29,7 @@ FOR_PAIRS = (
     "guess",
     "search",
     "check",
+    "recovery",
     "target",
     "guess_along_degenerate",
     "judge_points",

@@ -62,7 +62,9 @@ class Workbench:
         metrics = experiment.build_metrics(config)
         if is_system(config):  # it remembers, so nothing of it can be shared but the scans
             return experiment.Parts(dataset, experiment.build(config["backend"]), metrics)
-        plain = {g: experiment.build(config[g]) for g in ("selector", "check", "target")}
+        plain = {
+            g: experiment.build(config[g]) for g in ("selector", "check", "recovery", "target")
+        }
         judged = [experiment.backend_node(config), config["judge_points"]]
         known = self._once("backend", judged, lambda: self._backend(config, dataset))
         guess_node = [config["guess"]]

@@ -11,7 +11,7 @@ from rbtm_bench.backends.base import Prepared
 from rbtm_bench.core.columns import DEGENERATE
 from rbtm_bench.core.geometry import inverse, is_rigid, se2, se3
 from rbtm_bench.core.types import Array, Localizability, RegistrationResult
-from rbtm_bench.odometry.degeneracy import remap, unseen
+from rbtm_bench.odometry.degeneracy import fused, remap, unseen
 from rbtm_bench.odometry.judge import evaluate
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.runs.settings import compose_settings
@@ -157,3 +157,35 @@ def test_the_setting_keeps_odometry_along_a_bare_corridor() -> None:
     kept = run(*words, "guess_along_degenerate=0.01")[1:]
     assert [r.kept_guess for r in kept] == [1] * 11
     assert all(r.kept_guess == 0 for r in run(*words[:3], "guess_along_degenerate=0.01")[1:])
+
+
+# --- the guess as a weak prior
+
+
+def test_fusing_by_hand() -> None:
+    # off along x by 0.3 m: measured 100 / (10 * 0.03^2) * 0.5, the guess w / 0.01^2 (no motion)
+    measured, prior = 0.5 * 100 / (10 * 0.03**2), 0.01 / 0.01**2
+    one = fused(result(se2(0.3, 0.0, 0.0), np.diag([0.5, 0.5, 0.4])), np.eye(4), 0.01)
+    expected = se2(0.3 * measured / (measured + prior), 0.0, 0.0)
+    np.testing.assert_allclose(one.T_target_source, expected, atol=1e-12)
+
+
+def test_fusing_leaves_what_is_seen_and_keeps_the_guess_where_nothing_is() -> None:
+    guess = se2(1.0, -0.5, 0.2)
+    blind = result(guess @ se2(0.4, 0.01, 0.02), np.diag([0.0, 0.5, 0.4]))
+    off = inverse(guess) @ fused(blind, guess, 0.01).T_target_source
+    assert abs(off[0, 3]) < 1e-4 and off[1, 3] == pytest.approx(0.01, rel=0.01)
+    assert off[1, 0] == pytest.approx(0.02, rel=0.02)
+    trusted = fused(blind, guess, 1e9).T_target_source
+    np.testing.assert_allclose(trusted, guess, atol=1e-6)
+    bare = RegistrationResult(guess, None, 1.0, 0.0, 100)
+    assert fused(bare, np.eye(4), 0.1) is bare
+
+
+def test_fusing_in_space() -> None:
+    moved = np.eye(4)
+    moved[:3, 3] = [0.2, 0.1, 0.05]
+    tunnel = result(moved, np.diag([0.0, 0.4, 0.4, 0.3, 0.2, 0.2]))
+    T = fused(tunnel, np.eye(4), 0.01).T_target_source
+    assert is_rigid(T) and T[0, 3] == 0.0
+    assert T[1, 3] == pytest.approx(0.1, rel=0.05) and T[2, 3] == pytest.approx(0.05, rel=0.05)

@@ -169,6 +169,7 @@ def test_settings_hold_nothing_that_does_nothing() -> None:
         "guess",
         "search",
         "check",
+        "recovery",
         "target",
         "registration",
         "descriptor",
