@@ -1,31 +1,42 @@
-"""What commands cost before their work begins: user and system seconds, children included.
+"""What commands cost before and beside their work: user and system seconds, children included.
 
-    python scripts/benchmarks/bench_startup.py --times 5
+    python scripts/benchmarks/bench_startup.py
+    python scripts/benchmarks/bench_startup.py --before ../another-checkout
 
 Every command is a process of its own, in a folder of its own; the median of its repetitions is
-shown. `run` and `compare` make one run of the corridor, all defaults.
+shown, with another checkout's beside it, measured in turn. ``run`` and ``compare`` make one run of
+the corridor, all defaults. What the first of all compiles is not counted.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import resource
 import statistics
 import subprocess
 import sys
 import tempfile
+from pathlib import Path
 
 COMMANDS = ("--help", "list", "doctor", "run dataset=corridor", "compare dataset=corridor")
+OURS = Path(__file__).resolve().parents[2]
 
 
-def cpu_seconds(words: list[str], folder: str) -> float:
-    """User and system time of one command, with the processes that it has waited for."""
+def cpu_seconds(command: str, checkout: Path) -> float:
+    """User and system time of a command with the processes that it has waited for."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    program = [sys.executable, "-m", "rbtm_bench", *words]
-    done = subprocess.run(program, cwd=folder, capture_output=True, text=True)
+    with tempfile.TemporaryDirectory() as folder:
+        done = subprocess.run(
+            [sys.executable, "-m", "rbtm_bench", *command.split()],
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(checkout)},
+            capture_output=True,
+            text=True,
+        )
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    if done.returncode not in (0, 1) or (done.returncode and words != ["doctor"]):
-        raise SystemExit(f"{' '.join(words)}: {done.stderr.strip()}")
+    if done.returncode and command != "doctor":  # which may know of something to mend
+        sys.exit(f"{command}: {done.stderr.strip()}")
     return after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
 
 
@@ -33,15 +44,17 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--times", type=int, default=5, help="repetitions of a command")
+    parser.add_argument("--before", type=Path, help="another checkout")
     options = parser.parse_args()
-    print("| command | CPU s (least, most) |\n|---|---|")
+    checkouts = [OURS] if options.before is None else [options.before.resolve(), OURS]
+    print(f"| command |{' before |' * (len(checkouts) - 1)} CPU s |")
+    print(f"|---|{'---|' * len(checkouts)}")
     for command in COMMANDS:
-        seconds = []
-        for _ in range(options.times):
-            with tempfile.TemporaryDirectory() as folder:
-                seconds.append(cpu_seconds(command.split(), folder))
-        middle, least, most = statistics.median(seconds), min(seconds), max(seconds)
-        print(f"| `{command}` | {middle:.2f} ({least:.2f}, {most:.2f}) |", flush=True)
+        for checkout in checkouts:
+            cpu_seconds(command, checkout)
+        turns = [[cpu_seconds(command, one) for one in checkouts] for _ in range(options.times)]
+        medians = [statistics.median(column) for column in zip(*turns, strict=True)]
+        print(f"| `{command}` | {' | '.join(f'{seconds:.2f}' for seconds in medians)} |")
 
 
 if __name__ == "__main__":

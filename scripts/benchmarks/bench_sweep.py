@@ -33,11 +33,13 @@ MEMORY_MB = 1000.0
 
 @dataclasses.dataclass
 class Side:
-    """What one side did: its time, what it asked for, and a digest of every pose."""
+    """What one side did: its time, what it asked for and what of that was known, and a digest of
+    every pose."""
 
     seconds: float
     asked: int
     distinct: int
+    reused: int
     digest: str
 
 
@@ -55,16 +57,17 @@ def grid(log: str, guess: str, scans: int | None) -> list[Settings]:
 
 def measure(runs: Iterable[experiment.Parts]) -> Side:
     """Time the loops over all runs."""
-    digest, asked = hashlib.sha256(), 0
+    digest, asked, reused = hashlib.sha256(), 0, 0
     pairs: set[tuple[int | None, int]] = set()
     started = time.perf_counter()
     for parts in runs:
         for step in odometry(parts.dataset, parts.method, parts.work, experiment.BLOCK):
             digest.update(step.T_world_scan.tobytes())
             asked += step.record.registrations
+            reused += bool(step.record.reused)
             if step.record.model is not None:
                 pairs.add((step.record.model, step.record.scan))
-    return Side(time.perf_counter() - started, asked, len(pairs), digest.hexdigest())
+    return Side(time.perf_counter() - started, asked, len(pairs), reused, digest.hexdigest())
 
 
 def plain(points: list[Settings]) -> Iterable[experiment.Parts]:
@@ -77,7 +80,7 @@ def plain(points: list[Settings]) -> Iterable[experiment.Parts]:
 
 
 def main() -> None:
-    """Measure both sides and print the last four lines."""
+    """Measure both sides and print the last five lines."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("log", type=Path, help="aces.clf or aces.clf.gz")
     parser.add_argument("--guess", default="odometry", help="odometry_chain, for one")
@@ -94,6 +97,7 @@ def main() -> None:
     print(f"plain:  {alone.seconds:.1f} s")
     print(f"asked: {shared.asked}")
     print(f"distinct: {shared.distinct}")
+    print(f"reused: {shared.reused}")
     print(f"identical: {'yes' if shared.digest == alone.digest else 'no'}")
     print(f"ratio_total: {alone.seconds / shared.seconds:.2f}")
 
