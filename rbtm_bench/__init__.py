@@ -1,7 +1,6 @@
 """rbtm_bench: compare registration backends and model-scan selection strategies."""
 
 import importlib
-import importlib.abc
 import importlib.machinery
 import sys
 import warnings
@@ -17,15 +16,16 @@ MOVED = {
 """Modules that plug-ins written for version 0.1 import under their old names."""
 
 
-class _Moved(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Gives the module under its new name to whoever imports it under its old one."""
+class _Moved:
+    """Gives the module under its new name to whoever imports it under its old one: a finder and a
+    loader, without ``importlib.abc``, which takes as long to import as all of ``--help``."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
         if fullname not in MOVED:
             return None
-        return importlib.machinery.ModuleSpec(fullname, self)
+        return importlib.machinery.ModuleSpec(fullname, self)  # type: ignore[arg-type]
 
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType:
         new = MOVED[spec.name]

@@ -1,7 +1,5 @@
 """``python -m rbtm_bench`` is ``rbtm-bench``."""
 
-import sys
+from rbtm_bench.cli import main
 
-from rbtm_bench.cli.commands import main
-
-sys.exit(main())
+main()

@@ -128,9 +128,11 @@ def _checks() -> Iterator[_Check]:
 def _library_checks() -> Iterator[_Check]:
     from importlib.metadata import PackageNotFoundError, version
 
+    from rbtm_bench.core.open3d_library import open3d
+
     for module, package in LIBRARIES:
         try:
-            importlib.import_module(module)
+            open3d() if module == "open3d" else importlib.import_module(module)
             yield _Check(True, f"{package} {version(package)}")
         except PackageNotFoundError:
             yield _Check(True, f"{package} (version unknown)")

@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rbtm_bench.core import process
 from rbtm_bench.core.errors import ConfigError, RunError
 from rbtm_bench.engine.progress import bar
 
@@ -123,9 +124,12 @@ def run(words: list[str]) -> int:
     from rbtm_bench.datasets.summary import tell
     from rbtm_bench.report import screen
     from rbtm_bench.runs import experiment
+    from rbtm_bench.runs.plugins import foreign_modules
     from rbtm_bench.runs.settings import compose_settings
 
     settings = compose_settings(overrides, tuple(map(Path, options.config_dir)))
+    if foreign_modules(settings.config):
+        process.has_strangers()
     out = Path(settings.config["out"] or default_folder("runs", settings.choices))
     with bar("scans") as progress:
         if settings.config["time_limit"] is None and settings.config["memory_limit"] is None:

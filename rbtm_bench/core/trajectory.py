@@ -1,7 +1,7 @@
 """Trajectories, and how they are kept in files.
 
 A trajectory file is in the TUM format: a line ``stamp tx ty tz qx qy qz qw`` a pose (s, m, unit
-quaternion). evo reads and writes it; it takes a second to import, so it is imported where used.
+quaternion). evo reads it; it takes a while to import, so it is imported where used.
 """
 
 from __future__ import annotations
@@ -73,30 +73,23 @@ class Trajectory:
         return Trajectory(self.stamps[first:], self.T_world_scan[first:])
 
     def write_tum(self, path: str | os.PathLike[str]) -> None:
-        """Write a TUM file through evo, complete or not at all.
+        """Write a TUM file, complete or not at all.
 
-        evo writes 19 significant digits, so stamps and positions come back bit for bit and
-        rotations to about 1e-15. Raises ``DataError`` if there are no poses, one is not known
+        With 19 significant digits, as evo writes them, stamps and positions come back bit for bit
+        and rotations to about 1e-15. Raises ``DataError`` if there are no poses, one is not known
         (the format has no word for it), or the file cannot be written.
         """
-        from evo.core.trajectory import PoseTrajectory3D
-        from evo.tools.file_interface import write_tum_trajectory_file
         from scipy.spatial.transform import Rotation
 
         if len(self) == 0 or not self.known.all() or not np.isfinite(self.stamps).all():
             raise DataError(f"{path}: a TUM file needs at least one pose, and every pose known")
-        # Converted all at once: evo would do it pose by pose, much slower.
-        rotations = Rotation.from_matrix(self.T_world_scan[:, :3, :3])
-        poses = PoseTrajectory3D(
-            positions_xyz=self.T_world_scan[:, :3, 3],
-            orientations_quat_wxyz=rotations.as_quat(canonical=True, scalar_first=True),
-            timestamps=self.stamps,
-        )
+        quaternions = Rotation.from_matrix(self.T_world_scan[:, :3, :3]).as_quat(canonical=True)
+        rows = np.column_stack([self.stamps, self.T_world_scan[:, :3, 3], quaternions])
 
         def write(partial: Path) -> None:
             # An open file, because numpy compresses by the ending of a name.
             with open(partial, "w", encoding="utf-8", newline="\n") as file:
-                write_tum_trajectory_file(file, poses)
+                np.savetxt(file, rows)
 
         try:
             write_atomically(Path(path), write)

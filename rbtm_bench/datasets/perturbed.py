@@ -15,7 +15,6 @@ from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from rbtm_bench.core.geometry import inverse, rotation_angle, se2, translation_norm
 from rbtm_bench.core.trajectory import orthonormalised
@@ -221,6 +220,8 @@ def jittered(
         planar_motions = [se2(x, y, angle) for x, y, angle in noise[:, [0, 1, 5]]]
         off = np.reshape(planar_motions, off.shape)
     else:
+        from scipy.spatial.transform import Rotation
+
         off[:, :3, :3] = Rotation.from_rotvec(noise[:, 3:]).as_matrix()
         off[:, :3, 3] = noise[:, :3]
     poses = [odometry[0]]

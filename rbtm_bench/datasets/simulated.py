@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from annotated_types import Ge, Gt, Le, Lt
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.geometry import inverse
@@ -148,6 +147,8 @@ class SimulatedPlace(Dataset):
 
     def poses(self, distances: NDArray[np.floating[Any]]) -> Array:
         """T_world_sensor (S, 4, 4) after ``distances`` (S,) m: exact."""
+        from scipy.spatial.transform import Rotation
+
         poses = self.place.way.poses(distances)
         poses[:, 2, 3] = self.place.height
         roll = self._sway * np.sin(2.0 * np.pi * distances / ROLL_WAVE)

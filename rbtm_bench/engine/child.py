@@ -17,7 +17,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from rbtm_bench.core import errors
+from rbtm_bench.core import errors, process
 from rbtm_bench.core.errors import RbtmBenchError, RunError
 from rbtm_bench.engine.channel import Channel
 from rbtm_bench.engine.traces import differs, state
@@ -41,6 +41,7 @@ def serve(channel_fd: int, lifeline: int, crash: int, pin: bool, word: str, fore
     """The child: answer one job after the other until the parent hangs up."""
     import faulthandler
 
+    process.begin()
     for fd in (channel_fd, lifeline, crash):
         os.set_inheritable(fd, False)  # what a backend starts must not keep them open
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -60,9 +61,7 @@ def serve(channel_fd: int, lifeline: int, crash: int, pin: bool, word: str, fore
         try:
             message = channel.receive_bytes()
         except (EOFError, OSError):
-            if foreign:
-                _leave()
-            return
+            _leave()
         channel.send("begun")
         os.chdir(place)  # wherever the last job went
         before = state() if foreign else {}

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.engine import drive, sweep_folder
 from rbtm_bench.engine.crew import Supervisor
 from rbtm_bench.engine.driver import Grid, Told
@@ -23,6 +24,11 @@ class Comparison(Grid):
     @classmethod
     def of(cls, overrides: list[str], extra_dirs: tuple[Path, ...], workers: int) -> Comparison:
         """Every combination of the values. Raises ``ConfigError``."""
+        if words := [word for word in overrides if word.lstrip("+~").startswith("hydra")]:
+            raise ConfigError(
+                f"{words[0]}: a comparison is made by the cores of this machine (--jobs); "
+                "rbtm-bench sweep goes by Hydra's launchers"
+            )
         points, notes = make_points(overrides, extra_dirs)
         return cls([point.settings for point in points], notes, workers, points)
 

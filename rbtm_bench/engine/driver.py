@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from rbtm_bench.core.files import make_folder
+from rbtm_bench.core.process import settle
 from rbtm_bench.engine import forecast, one_run, sweep_folder
 from rbtm_bench.engine.crew import Supervisor
 from rbtm_bench.engine.drive import make_crew
@@ -107,6 +108,7 @@ def drive(grid: Grid, asked: Asked, out: Path, resumed: bool) -> Ended:
             sweep_folder.clear(one for one in grid.folders(out) if one.name not in kept)
             plan = Plan(total, len(kept), grid.workers, _mean_seconds(out, kept), most)
             print(plan.opening(), file=sys.stderr)
+            settle()
             with run_bar(plan) as bar:
                 told = Told(out, bar)
                 broken = grid.launch(kept, asked, crew, told)

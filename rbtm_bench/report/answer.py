@@ -8,10 +8,10 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 from rbtm_bench.report import better, render
-from rbtm_bench.report.best_settings import champion, main_error
+from rbtm_bench.report.best_settings import BOUND, ERRORS, champion
 from rbtm_bench.report.frame import MethodRuns, table_of
 from rbtm_bench.report.margin import margin_of
-from rbtm_bench.report.render import is_numeric_cell, three_digits
+from rbtm_bench.report.render import is_empty, is_numeric_cell, three_digits
 from rbtm_bench.report.replicates import draw_of, trajectory_of
 from rbtm_bench.report.verdict import label
 from rbtm_bench.runs.stored import Run
@@ -77,13 +77,11 @@ def _few(names: Iterable[str]) -> str:
 
 def _won(group: Sequence[MethodRuns]) -> list[str]:
     """The winner on one data set, who is tied, what it costs, who loses to no registration."""
-    table = table_of(group)
-    error = main_error(table)
-    best = None if error is None else champion(table, error[0])
-    if error is None or best is None:
+    error = next((e for e in ERRORS if any(not is_empty(m.row.get(e[0])) for m in group)), None)
+    won = None if error is None else _champion(group, error[0])
+    if error is None or won is None:
         return ["winner: none, no row has an error (status)"]
     key, unit, _ = error
-    won = group[table.index.get_loc(best.name)]
     of = len({_trajectories(m) for m in group})
     lines = [f"winner ({key}): {_name(won)}, {_spread(won, key, unit)}; {len(group)} rows"]
     lines[0] += f", {of} distinct" if of < len(group) else ""
@@ -102,6 +100,16 @@ def _won(group: Sequence[MethodRuns]) -> list[str]:
         bar = f"{three_digits(min(known))} {unit}"
         lines.append(f"worse than no registration ({key} > {bar}): {count}{words}")
     return lines
+
+
+def _champion(group: Sequence[MethodRuns], key: str) -> MethodRuns | None:
+    """The ``champion`` of methods. One alone takes no table: pandas is imported in half the time of
+    a small run."""
+    if len(group) == 1:
+        return None if group[0].row["selector"] == BOUND else group[0]
+    table = table_of(group)
+    best = champion(table, key)
+    return None if best is None else group[table.index.get_loc(best.name)]
 
 
 def _spread(method: MethodRuns, key: str, unit: str) -> str:

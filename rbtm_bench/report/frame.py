@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from rbtm_bench.core.columns import COLUMNS, MAIN
 from rbtm_bench.report.replicates import counted, number_of, spread_columns
 from rbtm_bench.runs.identity import differing
-from rbtm_bench.runs.stored import Run
+from rbtm_bench.runs.stored import Run, is_number
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -194,12 +196,8 @@ def table_of(methods: Sequence[MethodRuns]) -> pd.DataFrame:
 
 def _row_of(rows: dict[Run, dict[str, Any]]) -> dict[str, Any]:
     """The row of a method from those of its runs."""
-    import pandas as pd
-
     kept = counted(list(rows))
-    numbers = pd.DataFrame([rows[run] for run in kept])
-    every = pd.DataFrame(rows.values())
-    medians = _medians(every, numbers.reindex(columns=every.columns))
+    medians = _medians(list(rows.values()), [rows[run] for run in kept])
     spreads = spread_columns(list(rows), [column.name for column in MAIN])
     medians["replicates"] = sum(number_of(run) > 0 for run in kept) or None
     out: dict[str, Any] = {}
@@ -208,28 +206,26 @@ def _row_of(rows: dict[Run, dict[str, Any]]) -> dict[str, Any]:
     return out
 
 
-def _medians(every: pd.DataFrame, counted: pd.DataFrame) -> dict[str, Any]:
+def _medians(every: list[dict[str, Any]], counted: list[dict[str, Any]]) -> dict[str, Any]:
     """The medians of the runs that count; seeds and status of every run."""
-    import pandas as pd
-
-    rows = every.to_dict("records")
     out: dict[str, Any] = {}
-    for key in every:
-        table = every if key in ("seed", "status") else counted
-        column = table[key].dropna()
+    for key in dict.fromkeys(key for row in every for key in row):
+        values: list[Any] = [row[key] for row in counted if not _is_missing(row.get(key))]
         if key == "replicate":
             out["replicates"] = None
         elif key == "seed":
-            out["seeds"] = table[key].nunique(dropna=False)
+            out["seeds"] = len({row.get(key) for row in every})
         elif key in ("run", "settings"):
-            out[key] = rows[0][key]
+            out[key] = every[0][key]
         elif key == "status":
-            done = int((table[key] == "done").sum())
-            out[key] = "done" if done == len(rows) else f"{done} of {len(rows)} done"
-        elif column.empty:
+            done = sum(row.get(key) == "done" for row in every)
+            out[key] = "done" if done == len(every) else f"{done} of {len(every)} done"
+        elif not values:
             out[key] = None
-        elif pd.api.types.is_numeric_dtype(column) and not pd.api.types.is_bool_dtype(column):
-            out[key] = float(column.median())
         else:
-            out[key] = column.iloc[0]
+            out[key] = float(np.median(values)) if all(map(is_number, values)) else values[0]
     return out
+
+
+def _is_missing(value: Any) -> bool:
+    return value is None or value != value

@@ -32,6 +32,7 @@ from rbtm_bench.core.errors import (
 )
 from rbtm_bench.core.files import make_folder, write_atomically, write_json, write_text
 from rbtm_bench.core.kernels import make_ready
+from rbtm_bench.core.process import settle
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array, Scan, StepTable, read_only
 from rbtm_bench.datasets.base import Dataset
@@ -299,6 +300,7 @@ def _execute(
 ) -> dict[str, Any]:
     """The loop and its files; returns the loop's wall time in s, how many scans were registered
     (and why others were not), and the trajectory's checksum."""
+    settle()
     started = time.perf_counter()
     dataset = parts.dataset
     steps, poses = StepTable(), []

@@ -1,12 +1,12 @@
 """A sweep with and without shared work: 70 grid points, point-to-point ICP on the ACES log.
 
 Windows 2, 4, 8, 16, 32, 64, 100 by thresholds 0.50, 0.55 ... 0.95, curvature_circular with a
-half-span of 3 beams, guess=odometry. Both sides run the same loop in one pinned process, warm,
+half-span of 3 beams, a pure guess. Both sides run the same loop in one pinned process, warm,
 serial, with the log in memory; metrics and files are left out. The plain side instantiates
 plug-ins once and computes everything; the other takes them from a workbench with a pair store.
 
     python scripts/benchmarks/bench_sweep.py aces.clf.gz
-    python scripts/benchmarks/bench_sweep.py aces.clf.gz --quick    the first 2000 scans
+    python scripts/benchmarks/bench_sweep.py aces.clf.gz --guess odometry_chain --scans 2000
 """
 
 from __future__ import annotations
@@ -33,18 +33,20 @@ MEMORY_MB = 1000.0
 
 @dataclasses.dataclass
 class Side:
-    """What one side did: its time, what it asked for, and a digest of every pose."""
+    """What one side did: its time, what it asked for and what of that was known, and a digest of
+    every pose."""
 
     seconds: float
     asked: int
     distinct: int
+    reused: int
     digest: str
 
 
-def grid(log: str, scans: int | None) -> list[Settings]:
+def grid(log: str, guess: str, scans: int | None) -> list[Settings]:
     """The 70 points."""
     words = ["dataset=carmen", f"dataset.path={log}", f"dataset.max_scans={scans or 'null'}"]
-    base = compose_settings([*words, "backend=open3d_p2p", "selector=rbtm"])
+    base = compose_settings([*words, "backend=open3d_p2p", "selector=rbtm", f"guess={guess}"])
     points = []
     for window in WINDOWS:
         for threshold in THRESHOLDS:
@@ -55,16 +57,17 @@ def grid(log: str, scans: int | None) -> list[Settings]:
 
 def measure(runs: Iterable[experiment.Parts]) -> Side:
     """Time the loops over all runs."""
-    digest, asked = hashlib.sha256(), 0
+    digest, asked, reused = hashlib.sha256(), 0, 0
     pairs: set[tuple[int | None, int]] = set()
     started = time.perf_counter()
     for parts in runs:
-        for step in odometry(parts.dataset, parts.method):
+        for step in odometry(parts.dataset, parts.method, parts.work, experiment.BLOCK):
             digest.update(step.T_world_scan.tobytes())
             asked += step.record.registrations
+            reused += bool(step.record.reused)
             if step.record.model is not None:
                 pairs.add((step.record.model, step.record.scan))
-    return Side(time.perf_counter() - started, asked, len(pairs), digest.hexdigest())
+    return Side(time.perf_counter() - started, asked, len(pairs), reused, digest.hexdigest())
 
 
 def plain(points: list[Settings]) -> Iterable[experiment.Parts]:
@@ -77,13 +80,14 @@ def plain(points: list[Settings]) -> Iterable[experiment.Parts]:
 
 
 def main() -> None:
-    """Measure both sides and print the last four lines."""
+    """Measure both sides and print the last five lines."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("log", type=Path, help="aces.clf or aces.clf.gz")
-    parser.add_argument("--quick", action="store_true", help="the first 2000 scans")
+    parser.add_argument("--guess", default="odometry", help="odometry_chain, for one")
+    parser.add_argument("--scans", type=int, help="the first so many only")
     options = parser.parse_args()
     pin_to_free_core()
-    points = grid(str(options.log), 2000 if options.quick else None)
+    points = grid(str(options.log), options.guess, options.scans)
     measure(plain(points[:1]))  # imports and caches are warm for both sides
     with tempfile.TemporaryDirectory() as folder, PairStore(Path(folder)) as store:
         bench = Workbench(store, MEMORY_MB)
@@ -93,6 +97,7 @@ def main() -> None:
     print(f"plain:  {alone.seconds:.1f} s")
     print(f"asked: {shared.asked}")
     print(f"distinct: {shared.distinct}")
+    print(f"reused: {shared.reused}")
     print(f"identical: {'yes' if shared.digest == alone.digest else 'no'}")
     print(f"ratio_total: {alone.seconds / shared.seconds:.2f}")
 

@@ -23,7 +23,6 @@ from rbtm_bench.metrics.cost import COLUMNS
 
 SWEEP = [
     "backend=open3d_gicp",
-    "dataset.scans=1441",
     "guess=odometry",
     "pairs.store=off",
     "selector.window=30",
@@ -34,10 +33,10 @@ SWEEP = [
 TIMES = ("seconds", *COLUMNS)
 
 
-def sweep(jobs: int, out: Path) -> tuple[float, pd.DataFrame]:
+def sweep(jobs: int, scans: int, out: Path) -> tuple[float, pd.DataFrame]:
     """Seconds of the whole command and the table that it leaves."""
     command = [sys.executable, "-m", "rbtm_bench", "sweep", *SWEEP]
-    command += [f"hydra.launcher.n_jobs={jobs}", f"out={out}"]
+    command += [f"hydra.launcher.n_jobs={jobs}", f"dataset.scans={scans}", f"out={out}"]
     started = time.perf_counter()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     seconds = time.perf_counter() - started
@@ -48,6 +47,7 @@ def main() -> None:
     """Measure in turn and print the ratio last."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--alternations", type=int, default=2)
+    parser.add_argument("--scans", type=int, default=1441, help="of a run")
     options = parser.parse_args()
     cores = len(os.sched_getaffinity(0))
     if cores < 2:
@@ -55,8 +55,8 @@ def main() -> None:
     ratios = []
     with tempfile.TemporaryDirectory() as folder:
         for turn in range(options.alternations):
-            one, table_1 = sweep(1, Path(folder) / f"one-{turn}")
-            two, table_2 = sweep(2, Path(folder) / f"two-{turn}")
+            one, table_1 = sweep(1, options.scans, Path(folder) / f"one-{turn}")
+            two, table_2 = sweep(2, options.scans, Path(folder) / f"two-{turn}")
             print(f"one worker {one:.1f} s, two workers {two:.1f} s")
             print(f"same table: {'yes' if table_1.equals(table_2) else 'no'}")
             ratios.append(one / two)

@@ -65,7 +65,7 @@ def test_help_answers_at_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize("words", [["--help"], ["--version"], ["compare", "--help"], ["nix"]])
 def test_what_answers_at_once_imports_nothing_heavy(tmp_path: Path, words: list[str]) -> None:
     code = (
-        "import json, sys; from rbtm_bench.cli import main; main(sys.argv[1:]);"
+        "import json, sys; from rbtm_bench.cli.commands import main; main(sys.argv[1:]);"
         "print(json.dumps(sorted(m for m in sys.modules if '.' not in m)), file=sys.stderr)"
     )
     command = [sys.executable, "-c", code, *words]
@@ -76,7 +76,8 @@ def test_what_answers_at_once_imports_nothing_heavy(tmp_path: Path, words: list[
 
 def test_libraries_load_only_where_used(tmp_path: Path) -> None:
     (tmp_path / "a.clf").write_text("".join(log_line(stamp=float(i)) for i in range(3)))
-    code = "import sys; from rbtm_bench.cli import main; main(sys.argv[1:]); print(*sys.modules)"
+    code = "import sys; from rbtm_bench.cli.commands import main; main(sys.argv[1:]);"
+    code += "print(*sys.modules)"
     words = ["run", "dataset=carmen", "dataset.path=a.clf", "backend=none", "selector=previous"]
     command = [sys.executable, "-c", code, *words, "out=out"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)

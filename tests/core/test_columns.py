@@ -28,7 +28,7 @@ errors.ERRORS += (
 )
 steps.STEPS += (StepColumn("new_step", "float", "m", "a new step", 1.5),)
 
-from rbtm_bench.cli import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.columns import COLUMNS
 from rbtm_bench.metrics.final_pose import FinalPose
 evaluate = FinalPose.evaluate

@@ -271,3 +271,10 @@ def test_jobs_by_default_are_the_cores_of_this_process() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stdout.strip() == "1", done.stderr
     assert drive.default_jobs() == len(os.sched_getaffinity(0))
+
+
+def test_a_launcher_of_hydra_s_is_refused_by_name(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["compare", "seed=0,1", "hydra/launcher=joblib"]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1 and lines[0].startswith("rbtm-bench: hydra/launcher=joblib: ")
+    assert "rbtm-bench sweep" in lines[0]

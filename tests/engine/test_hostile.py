@@ -33,7 +33,7 @@ BACKENDS = {
     "numpy_state": DONE,
     "warnings": DONE,
     "environment": DONE,
-    "sys_path": "No module named 'json'",
+    "sys_path": DONE,
     "signal_handlers": DONE,
     "patch_numpy": "TypeError",
     "patch_rbtm": "TypeError",
