@@ -112,6 +112,7 @@ def evaluate(
     neighbours within ``radius``. Of a cloud in space every k-th point is looked at, so that at most
     ``most`` are; ``inliers`` is then k times those.
     """
+    target, T_target_source = target.as_built(T_target_source)  # where its indexes are
     if target.planar:
         return _evaluate_2d(source, target, T_target_source, radius)
     step = max(1, -(-len(source.points) // most))
