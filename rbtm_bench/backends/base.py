@@ -124,18 +124,16 @@ class Placed(Prepared):
 
     @property
     def size(self) -> int:
-        return len(self.built.points)
+        return self.built.size
 
     def as_built(self, T_target_source: Array) -> tuple[Prepared, Array]:
-        return self.built, self.T_built_target @ T_target_source
+        return self.built.as_built(self.T_built_target @ T_target_source)
 
 
 class MapLimits(NamedTuple):
     """What a running map forgets: what lies farther than ``max_range`` m from the newest scan, and
-    what none of the last ``horizon`` scans met. ``cell_size`` m is its resolution (None: what suits
-    the backend)."""
+    what none of the last ``horizon`` scans met. A library's map keeps to what it knows of these."""
 
-    cell_size: float | None
     max_range: float
     horizon: int
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar
 
 from rbtm_bench.backends.base import Backend, Placed, Prepared
 from rbtm_bench.core.geometry import inverse
@@ -16,8 +15,6 @@ class Target(ABC):
     """Builds the target of a registration, in the frame of the model scan."""
 
     requires: tuple[str, ...] = ()
-    coarseness: ClassVar[float] = 0.0
-    """How far (m) a point of the model scan may be from the target's point that stands for it."""
 
     @abstractmethod
     def build(self, model: int, window: Window, backend: Backend) -> Prepared:
