@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
-from rbtm_bench.backends.base import Alignment, Backend, Prepared
+from rbtm_bench.backends.base import Alignment, Backend, Prepared, joined_key
 from rbtm_bench.backends.plicp_covariance import motion_information
-from rbtm_bench.backends.plicp_match import PlicpSettings, Surface, match, shortened, surface_of
+from rbtm_bench.backends.plicp_match import (
+    PlicpSettings,
+    Surface,
+    joined_surface,
+    match,
+    shortened,
+    surface_of,
+)
 from rbtm_bench.backends.plicp_step import Matches, step_to_lines, step_to_points
 from rbtm_bench.core.errors import BackendError
-from rbtm_bench.core.geometry import se2, symmetric
+from rbtm_bench.core.geometry import se2, symmetric, transform, yaw
 from rbtm_bench.core.kernels import kernel
 from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.types import Array
@@ -112,6 +120,15 @@ class PointToLineICP(Backend):
         if not planar:
             raise BackendError("plicp registers planar scans only")
         return surface_of(points, self.min_segment_length)
+
+    def join(self, parts: Sequence[tuple[Prepared, Array]]) -> Prepared:
+        """Points one after the other, segments as each scan has them; sorted along the axis that
+        suits the last."""
+        points = np.concatenate([transform(T, part.points) for part, T in parts])
+        last, T_target_last = parts[-1]
+        turn = last.native.turn - float(yaw(T_target_last))
+        surface = joined_surface(points, [part.native for part, _ in parts], turn)
+        return Prepared(points, True, surface, joined_key(parts))
 
     def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
         moving, surface = source.native, target.native

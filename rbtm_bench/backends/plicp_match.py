@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -54,11 +55,31 @@ class PlicpSettings(NamedTuple):
 def surface_of(points: Array, min_length: float) -> Surface:
     """The surface through points (N, 3) m with segments of at least ``min_length`` m."""
     turn = float(axis_of_sorting(points))
+    ordered = sorted_turned(points, turn)
+    return Surface(ordered, sides_of(ordered.xy, min_length), turn)
+
+
+def joined_surface(points: Array, parts: Sequence[Surface], turn: float) -> Surface:
+    """The surface through the points (N, 3) m of several, one after the other, turned by ``turn``
+    rad: each keeps the segments that it had by itself."""
+    ordered = sorted_turned(points, turn)
+    place = np.empty(len(points) + 1, dtype=np.int64)
+    place[ordered.original] = np.arange(len(points))
+    place[-1] = -1
+    sides, start = np.empty((len(points), 2), dtype=np.int64), 0
+    for part in parts:
+        own = np.append(part.points.original + start, len(points))  # where -1 leads to
+        sides[own[:-1]] = own[part.sides]
+        start += len(part.sides)
+    return Surface(ordered, place[sides[ordered.original]], turn)
+
+
+def sorted_turned(points: Array, turn: float) -> Sorted2D:
+    """Points (N, 3) m turned by ``turn`` rad, sorted by x."""
     c, s = np.cos(turn), np.sin(turn)
     x, y = c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]
     original = np.argsort(x, kind="stable").astype(np.int64)
-    ordered = Sorted2D(np.stack([x[original], y[original]], axis=1), original, 0)
-    return Surface(ordered, sides_of(ordered.xy, min_length), turn)
+    return Sorted2D(np.stack([x[original], y[original]], axis=1), original, 0)
 
 
 @kernel

@@ -36,6 +36,8 @@ STEPS = (
     ),
     StepColumn("reason", "str", "", "why this model scan, or why none", ""),
     StepColumn("recovered", "str", "", "the restart it came from; empty: from the guess", ""),
+    StepColumn("target_scans", "int", "count", "scans that its target was made of"),
+    StepColumn("target_points", "int", "count", "points of the target"),
     StepColumn("converged", "bool", "", "whether the library says so; False below 3 inliers"),
     StepColumn("fitness", "float", "share", "source points with a target point in the radius"),
     StepColumn("inlier_rmse_m", "float", "m", "RMS distance of those"),

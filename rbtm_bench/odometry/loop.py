@@ -22,7 +22,7 @@ from rbtm_bench.odometry.chain import PoseChain
 from rbtm_bench.odometry.degeneracy import remap, unseen
 from rbtm_bench.odometry.judge import MIN_INLIERS
 from rbtm_bench.odometry.method import Method, Work
-from rbtm_bench.selection.base import Selection, Selector, Trial
+from rbtm_bench.selection.base import Candidate, Selection, Selector, Trial
 from rbtm_bench.selection.window import Window
 from rbtm_bench.similarity.base import Descriptor
 
@@ -56,6 +56,7 @@ def odometry(
     """
     work = work or Work(method)
     window = method.selector.window()
+    past = method.target.window(window)  # the same, or what the target needs beside it
     chain = PoseChain()
     recent: deque[Node] = deque(maxlen=2)
     left_out = 0  # scans in a row that matched nothing and are no model scans
@@ -67,19 +68,26 @@ def odometry(
             if recent:
                 selection = _select(ready, window, recent, work)
                 ready.record.pick = rows.first_pick(window, selection, method.selector)
-                edge = _register(ready, window, recent, selection, work)
+                edge = _register(ready, window, past, recent, selection, work)
                 if edge is None and left_out >= method.selector.patience:
-                    edge = _restart(ready, window, recent, work)
+                    edge = _restart(ready, window, past, recent, work)
             node, step, lost = _place(ready, edge, window, recent, chain, work)
             left_out = left_out + 1 if lost else 0
             if node.prepared is not None and not lost:
-                window.push(node)
+                _remember(node, window, past)
             recent.append(node)
             done.append(step)
             if time.perf_counter() - since > PATIENCE:
                 yield from rows.finished(done)
                 done, since = [], time.perf_counter()
         yield from rows.finished(done)
+
+
+def _remember(node: Node, window: Window, past: Window, always: bool = False) -> None:
+    """Push a scan into the selector's window and into the target's, if that is another."""
+    window.push(node, always)
+    if past is not window:
+        past.push(node, always)
 
 
 def _blocks(scans: Iterable[Scan], most: int) -> Iterator[list[Scan]]:
@@ -146,7 +154,12 @@ def _select(ready: Ready, window: Window, recent: Sequence[Node], work: Work) ->
 
 
 def _register(
-    ready: Ready, window: Window, recent: Sequence[Node], selection: Selection, work: Work
+    ready: Ready,
+    window: Window,
+    past: Window,
+    recent: Sequence[Node],
+    selection: Selection,
+    work: Work,
 ) -> Edge | None:
     """Try the candidates in order; the first registration that passes the check is the edge, or,
     for a selector that tries all, the one that it picks of those."""
@@ -158,10 +171,9 @@ def _register(
         record.status, record.reason = "predicted", "no model scan yet"
     accepted: list[Trial] = []
     for candidate in selection.candidates:
-        model = window.node(candidate.model)
-        outcome = _attempt(ready, ready.prepared, model, window, recent, work)
-        if isinstance(outcome, RegistrationResult):
-            accepted.append(Trial(candidate, model, outcome))
+        outcome = _attempt(ready, ready.prepared, candidate, past, recent, work)
+        if isinstance(outcome, Trial):
+            accepted.append(outcome)
             if not selector.tries_all:
                 break
         else:
@@ -180,17 +192,17 @@ def _register(
 def _attempt(
     ready: Ready,
     source: Prepared,
-    model: Node,
-    window: Window,
+    candidate: Candidate,
+    past: Window,
     recent: Sequence[Node],
     work: Work,
-) -> RegistrationResult | str:
+) -> Trial | str:
     """The registration to one candidate, or why it is not believed."""
-    method, record = work.method, ready.record
+    method, record, model = work.method, ready.record, past.node(candidate.model)
     T_guess = work.predict(model, ready.scan, recent)
     started = time.perf_counter()
     try:
-        target = checked.target(method.target, ready.scan, model.scan, window, method.backend)
+        target = checked.target(method.target, ready.scan, model.scan, past, method.backend)
         built = time.perf_counter()
         record.t_prepare_s += built - started
         record.registrations += 1
@@ -208,10 +220,14 @@ def _attempt(
         record.t_check_s += max(0.0, spent)
     except BackendError as error:
         return str(error)
-    return result if why_not is None else why_not
+    if why_not is not None:
+        return why_not
+    return Trial(candidate, model, result, len(target.key) or None, target.size)
 
 
-def _restart(ready: Ready, window: Window, recent: Sequence[Node], work: Work) -> Edge | None:
+def _restart(
+    ready: Ready, window: Window, past: Window, recent: Sequence[Node], work: Work
+) -> Edge | None:
     """Try the scan before, alone, although it matched nothing itself.
 
     Without this a window that nothing enters would grow old for ever. That two scans in a row
@@ -221,13 +237,14 @@ def _restart(ready: Ready, window: Window, recent: Sequence[Node], work: Work) -
     if ready.prepared is None or last.prepared is None:
         return None
     alone = Window(1)
-    alone.push(last)
+    known = work.method.target.window(alone)
+    _remember(last, alone, known)
     selection = _select(ready, alone, recent, work)
     if not selection.candidates:
         return None
-    edge = _register(ready, alone, recent, selection, work)
+    edge = _register(ready, alone, known, recent, selection, work)
     if edge is not None:
-        window.push(last, always=True)
+        _remember(last, window, past, always=True)
         record.restart, record.reason = True, f"restart: {record.reason}"
     return edge
 

@@ -19,6 +19,7 @@ def fill(record: StepRecord, chosen: Trial, reason: str, threshold: float | None
     record.reason = reason
     record.model, record.gap = candidate.model, record.scan - candidate.model
     record.score = candidate.score
+    record.target_scans, record.target_points = chosen.target_scans, chosen.target_points
     record.converged = result.converged
     record.fitness, record.inlier_rmse_m = result.fitness, result.inlier_rmse
     record.iterations, record.reused = result.iterations, result.reused

@@ -275,4 +275,6 @@ class SharedWork(Work):
     def register(
         self, source: Prepared, target: Prepared, T_target_source: Array
     ) -> RegistrationResult:
+        if len(target.key) > 1:  # placed by the run's own estimates: nobody else asks for it
+            return super().register(source, target, T_target_source)
         return self._registrations.register(source, target, T_target_source)

@@ -109,11 +109,14 @@ class Selection:
 
 
 class Trial(NamedTuple):
-    """A candidate whose registration was accepted."""
+    """A candidate whose registration was accepted; scans and points of what it was registered
+    to (None: not known)."""
 
     candidate: Candidate
     model: Node
     result: RegistrationResult
+    target_scans: int | None = None
+    target_points: int | None = None
 
 
 class Selector(ABC):

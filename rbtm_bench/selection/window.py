@@ -110,3 +110,15 @@ class Window:
         if self._descriptors is not None:
             self._descriptors[self._stop] = node.descriptor
         self._stop += 1
+
+
+class Past(Window):
+    """What a target remembers of the nodes that enter a selector's window, by a rule of its own;
+    by number it knows the members of that window, too."""
+
+    def __init__(self, selected: Window, capacity: int, keyframes: Keyframes | None) -> None:
+        super().__init__(capacity, keyframes)
+        self._selected = selected
+
+    def node(self, scan: int) -> Node:
+        return self._by_scan.get(scan) or self._selected.node(scan)
