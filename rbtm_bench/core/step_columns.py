@@ -30,8 +30,8 @@ STEPS = (
         "str",
         "",
         "first (the start), registered, fallback (the fallback's registration), skipped (no "
-        'candidate, fallback "skip"), predicted (every candidate was rejected), unusable (the '
-        "backend could not prepare the scan)",
+        'candidate, fallback "skip"), still (moved less than `motion_filter`), predicted (every '
+        "candidate was rejected), unusable (the backend could not prepare the scan)",
         "first",
     ),
     StepColumn("reason", "str", "", "why this model scan, or why none", ""),
@@ -120,6 +120,14 @@ SUMS = (
         table=True,
         screen=True,
         line="registrations rejected",
+    ),
+    Column(
+        "steps",
+        "still",
+        "count",
+        "scans that moved less than `motion_filter`: not registered, no part of `coverage`",
+        "steps",
+        table=True,
     ),
     Column(
         "steps",

@@ -9,22 +9,19 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
-from rbtm_bench.backends.base import Prepared
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Array, Edge, Node, RegistrationResult, Scan, Step, StepRecord
 from rbtm_bench.core.uncertainty import chained, edge_covariance
 from rbtm_bench.odometry import checked, rows
+from rbtm_bench.odometry.attempt import attempt
 from rbtm_bench.odometry.chain import PoseChain
-from rbtm_bench.odometry.degeneracy import remap, unseen
-from rbtm_bench.odometry.judge import MIN_INLIERS
-from rbtm_bench.odometry.method import Method, Work
-from rbtm_bench.selection.base import Candidate, Selection, Selector, Trial
+from rbtm_bench.odometry.method import Method, Ready, Work
+from rbtm_bench.odometry.motion_filter import is_still
+from rbtm_bench.selection.base import Selection, Selector, Trial
 from rbtm_bench.selection.window import Window
-from rbtm_bench.similarity.base import Descriptor
 
 MOST_POINTS = 1_000_000
 """A block ends with the scan that makes it so many points: 24 MB."""
@@ -32,15 +29,6 @@ PATIENCE = 0.5
 """s after which finished scans are handed out, though their block goes on."""
 UNKNOWN = np.full(1024, np.nan)
 """Scores that nobody asked for."""
-
-
-class Ready(NamedTuple):
-    """A scan and what is known of it before it is registered."""
-
-    scan: Scan
-    record: StepRecord
-    prepared: Prepared | None
-    descriptor: Descriptor | None
 
 
 def odometry(
@@ -59,21 +47,25 @@ def odometry(
     past = method.target.window(window)  # the same, or what the target needs beside it
     chain = PoseChain()
     recent: deque[Node] = deque(maxlen=2)
+    moving: Node | None = None  # the last scan that was not still
     left_out = 0  # scans in a row that matched nothing and are no model scans
     for part in _blocks(scans, block):
         done: list[Step] = []
         since = time.perf_counter()
         for ready in _ready(part, work):
-            edge = None
-            if recent:
+            edge, still = None, is_still(ready, recent, moving, work)
+            if still:
+                ready.record.status, ready.record.reason = "still", "moved too little"
+            elif recent:
                 selection = _select(ready, window, recent, work)
                 ready.record.pick = rows.first_pick(window, selection, method.selector)
                 edge = _register(ready, window, past, recent, selection, work)
                 if edge is None and left_out >= method.selector.patience:
                     edge = _restart(ready, window, past, recent, work)
             node, step, lost = _place(ready, edge, window, recent, chain, work)
-            left_out = left_out + 1 if lost else 0
-            if node.prepared is not None and not lost:
+            left_out = left_out if still else left_out + 1 if lost else 0
+            moving = moving if still else node
+            if node.prepared is not None and not lost and not still:
                 _remember(node, window, past)
             recent.append(node)
             done.append(step)
@@ -171,7 +163,7 @@ def _register(
         record.status, record.reason = "predicted", "no model scan yet"
     accepted: list[Trial] = []
     for candidate in selection.candidates:
-        outcome = _attempt(ready, ready.prepared, candidate, past, recent, work)
+        outcome = attempt(ready, ready.prepared, candidate, past, recent, work)
         if isinstance(outcome, Trial):
             accepted.append(outcome)
             if not selector.tries_all:
@@ -186,43 +178,8 @@ def _register(
     record.t_select_s += time.perf_counter() - started
     chosen = accepted[which]
     rows.fill(record, chosen, reason, work.method.guess_along_degenerate)
+    work.method.check.accept(chosen.result)
     return _edge(chosen.model, scan, chosen.result, selector)
-
-
-def _attempt(
-    ready: Ready,
-    source: Prepared,
-    candidate: Candidate,
-    past: Window,
-    recent: Sequence[Node],
-    work: Work,
-) -> Trial | str:
-    """The registration to one candidate, or why it is not believed."""
-    method, record, model = work.method, ready.record, past.node(candidate.model)
-    T_guess = work.predict(model, ready.scan, recent)
-    started = time.perf_counter()
-    try:
-        target = checked.target(method.target, ready.scan, model.scan, past, method.backend)
-        built = time.perf_counter()
-        record.t_prepare_s += built - started
-        record.registrations += 1
-        result = work.register(source, target, T_guess)
-        if result.inliers < MIN_INLIERS:
-            why_not: str | None = f"{result.inliers} inliers: expected at least {MIN_INLIERS}"
-        else:
-            if method.guess_along_degenerate is not None:
-                record.kept_guess = unseen(result, method.guess_along_degenerate)
-                result = remap(result, T_guess, method.guess_along_degenerate)
-            has_motion = method.guess.has_motion(recent)
-            why_not = checked.rejection(method.check, result, T_guess, has_motion)
-        spent = time.perf_counter() - built - (0.0 if result.reused else result.seconds)
-        record.t_register_s += result.seconds
-        record.t_check_s += max(0.0, spent)
-    except BackendError as error:
-        return str(error)
-    if why_not is not None:
-        return why_not
-    return Trial(candidate, model, result, len(target.key) or None, target.size)
 
 
 def _restart(

@@ -16,7 +16,7 @@ def fill(record: StepRecord, chosen: Trial, reason: str, threshold: float | None
     """Write down the registration that a scan got its pose from."""
     candidate, result = chosen.candidate, chosen.result
     record.status = "fallback" if candidate.is_fallback else "registered"
-    record.reason = reason
+    record.reason, record.recovered = reason, chosen.restart
     record.model, record.gap = candidate.model, record.scan - candidate.model
     record.score = candidate.score
     record.target_scans, record.target_points = chosen.target_scans, chosen.target_points

@@ -32,6 +32,8 @@ FOR_PAIRS = (
     "recovery",
     "target",
     "guess_along_degenerate",
+    "guess_weight",
+    "motion_filter",
     "judge_points",
 )
 """The groups and settings that a backend which is a whole system does without."""
@@ -43,6 +45,13 @@ class Pairs(TypedDict):
     store: Literal["off", "shared", "per_worker"]
     folder: str | None
     memory_mb: Annotated[float, Gt(0)]
+
+
+class MotionFilterSettings(TypedDict):
+    """The settings of ``motion_filter``."""
+
+    distance: Annotated[float, Ge(0)]
+    angle_deg: Annotated[float, Ge(0)]
 
 
 class Perturbation(TypedDict):
@@ -112,6 +121,8 @@ SHARED = {
     "time_limit": Shared(Annotated[float, Gt(0)] | None, Kind.HOW),
     "memory_limit": Shared(Annotated[float, Gt(0)] | None, Kind.HOW),
     "map_resolution": Shared(Annotated[float, Gt(0)], Kind.HOW),
+    "guess_weight": Shared(Annotated[float, Gt(0)] | None, Kind.WHAT),
+    "motion_filter": Shared(MotionFilterSettings, Kind.WHAT),
     "guess_along_degenerate": Shared(Annotated[float, Gt(0), Lt(1)] | None, Kind.WHAT),
     "judge_points": Shared(Annotated[int, Ge(100)], Kind.WHAT),
     "registration": Shared(None, Kind.FEED),

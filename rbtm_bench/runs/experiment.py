@@ -41,7 +41,7 @@ from rbtm_bench.metrics.cost import peak_memory_mb
 from rbtm_bench.metrics.relation_errors import FILE as RELATIONS
 from rbtm_bench.metrics.summary import REGISTERED, summarise_steps, why_unregistered
 from rbtm_bench.odometry.loop import odometry
-from rbtm_bench.odometry.method import Method, Work
+from rbtm_bench.odometry.method import Method, MotionFilter, Work
 from rbtm_bench.odometry.system import system_odometry
 from rbtm_bench.pairs.shared import SharedDataset
 from rbtm_bench.pairs.watched import Watch, WatchedWork
@@ -167,11 +167,19 @@ def instantiate(settings: Settings) -> Parts:
     method = Method(
         backend=build_backend(config),
         **{g: build(config[g]) for g in PLUGIN_GROUPS if g not in ("dataset", *REGISTERING)},
-        guess_along_degenerate=config["guess_along_degenerate"],
-        judge_points=config["judge_points"],
+        **loop_settings(config),
     )
     work = None if watch is None else WatchedWork(Work(method), watch)
     return Parts(dataset, method, build_metrics(config), work)
+
+
+def loop_settings(config: dict[str, Any]) -> dict[str, Any]:
+    """The settings of a ``Method`` that are no plug-ins."""
+    names = ("guess_along_degenerate", "guess_weight", "judge_points")
+    return {
+        **{name: config[name] for name in names},
+        "motion_filter": MotionFilter(**config["motion_filter"]),
+    }
 
 
 def build_backend(config: dict[str, Any]) -> Backend:
@@ -209,7 +217,13 @@ def check_fit(settings: Settings, dataset: Dataset) -> None:
             )
     if is_system(config):
         return
-    build(config["guess"]).check(dataset)
+    guess = build(config["guess"])
+    guess.check(dataset)
+    if all(config["motion_filter"].values()) and not (guess.needs_odometry or guess.needs_backend):
+        raise ConfigError(
+            f"motion_filter asks the guess whether the sensor moves, which guess="
+            f"{settings.choices.get('guess')} does not measure: expected odometry or chain"
+        )
     _check_selector(settings, dataset)
 
 

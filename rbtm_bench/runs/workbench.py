@@ -76,8 +76,7 @@ class Workbench:
             backend=known.backend,
             similarity=experiment.build(config["similarity"]),
             guess=guess,
-            guess_along_degenerate=config["guess_along_degenerate"],
-            judge_points=config["judge_points"],
+            **experiment.loop_settings(config),
             **plain,
         )
         guesses = None

@@ -110,13 +110,14 @@ class Selection:
 
 class Trial(NamedTuple):
     """A candidate whose registration was accepted; scans and points of what it was registered
-    to (None: not known)."""
+    to (None: not known), and the restart that it came from ("": the guess)."""
 
     candidate: Candidate
     model: Node
     result: RegistrationResult
     target_scans: int | None = None
     target_points: int | None = None
+    restart: str = ""
 
 
 class Selector(ABC):
