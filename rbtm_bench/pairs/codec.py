@@ -10,7 +10,6 @@ import hashlib
 import io
 import json
 import pickle
-import struct
 from dataclasses import fields
 from typing import Any, NoReturn
 
@@ -51,12 +50,9 @@ def pair_key(
     guess = np.asarray(T_guess, dtype=np.float64)
     if guess.shape != (4, 4):
         raise ValueError(f"guess {guess.shape}: expected (4, 4)")
-    sizes = struct.pack("<qqqq", len(context), len(model), scan, len(content))
-    parts = [sizes, context, guess.tobytes(), content]
-    for number, T in model:
-        parts += struct.pack("<qq", number, -1 if T is None else len(T)), T or b""
-    digest = hashlib.blake2b(b"".join(parts), digest_size=16).digest()
-    return context[:4] + struct.pack(">I", scan & 0xFFFFFFFF) + digest
+    text = repr((context, model, scan, guess.tobytes(), content))
+    digest = hashlib.blake2b(text.encode(), digest_size=16).digest()
+    return context[:4] + (scan % 2**32).to_bytes(4) + digest
 
 
 def pack(key: bytes, outcome: Outcome) -> bytes:

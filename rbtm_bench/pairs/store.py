@@ -123,10 +123,9 @@ class PairStore:
     def close(self) -> None:
         """Flush, and leave the files as the next process likes to find them."""
         self._write()
-        if self._is_open():
-            self._close_files()
-            if not self._is_shared:
-                self._guarded(os.rename, self._path, self._path.with_suffix(""))
+        self._close_files()
+        if self._state != "off" and not self._is_shared and _inode(self._path):
+            self._guarded(os.rename, self._path, self._path.with_suffix(""))
         self._state = "off"
 
     def __enter__(self) -> Self:
@@ -207,9 +206,11 @@ class PairStore:
         self._files = {}
 
     def _trouble(self, path: Path, error: BaseException) -> None:
-        """After an error in the middle of the work: begin a damaged file anew, or give up."""
+        """After an error in the middle of the work: begin a damaged file anew, do without another
+        worker's, or give up."""
         self._damaged += 1
-        if not _is_damage(error) or self._damaged > _MOST_DAMAGED:
+        is_lost = path == self._path and not _is_damage(error)
+        if is_lost or self._damaged > _MOST_DAMAGED:
             self._give_up(error)
             return
         # renamed while it is open: SQLite does not touch a file that was moved under it
@@ -261,7 +262,8 @@ def merge(folder: Path) -> None:
         with PairStore(folder, "per_worker", batch=4096) as store:
             for path in paths:
                 if path.exists() and store.take(path):
-                    path.unlink()
+                    with suppress(OSError):
+                        path.unlink()
 
 
 class _File(NamedTuple):
@@ -330,8 +332,8 @@ def _is_alive(path: Path) -> bool:
 
 
 def _inode(path: Path) -> int | None:
-    """The file that a path leads to just now; None if it leads to none."""
-    with suppress(FileNotFoundError):
+    """The file that a path leads to just now; None if it leads to none that can be reached."""
+    with suppress(OSError):
         return path.stat().st_ino
     return None
 
