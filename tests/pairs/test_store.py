@@ -29,7 +29,7 @@ from rbtm_bench.pairs.store import PairStore, merge
 
 
 @pytest.fixture(autouse=True)
-def silence(request: pytest.FixtureRequest, capfd: pytest.CaptureFixture[str]) -> Any:
+def silence(capfd: pytest.CaptureFixture[str]) -> Any:
     """Nothing is said that a test does not read."""
     yield
     assert capfd.readouterr().err == ""
