@@ -9,7 +9,6 @@ import pytest
 from step_helpers import TIMES, assert_same, steps
 
 from rbtm_bench.core.step_columns import STEPS
-from rbtm_bench.pairs.shared import Bounded
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.runs import experiment
 from rbtm_bench.runs.settings import compose_settings
@@ -82,17 +81,6 @@ def test_other_data_other_backend_other_seed_share_nothing(tmp_path: Path) -> No
         for change in ([], ["seed=1"], ["backend.max_iterations=49"], ["dataset.beams=341"]):
             run = steps(bench.parts(compose_settings([*words, *change])))
             assert not any(s.record.reused for s in run[1:]), change
-
-
-def test_memory_is_bounded() -> None:
-    bounded: Bounded[int] = Bounded(100)
-    for item in range(50):
-        bounded.put(item, item, 30)
-    assert len(bounded) == 3 and bounded.used == 90
-    assert bounded.get(49) == 49 and bounded.get(0) is None
-    bounded.get(47)
-    bounded.put(50, 50, 30)
-    assert bounded.get(47) == 47 and bounded.get(48) is None, "the least recently used goes first"
 
 
 def test_a_tiny_memory_changes_no_bit() -> None:
