@@ -40,6 +40,7 @@ class Nuisance(Enum):
 
 
 Distance = Annotated[float, Gt(0), Nuisance.DISTANCE]
-VoxelSize = Annotated[float, Ge(0), Nuisance.DISTANCE]
+Length = Annotated[float, Ge(0), Nuisance.DISTANCE]
+VoxelSize = Length
 Threshold = Annotated[float, Ge(-1), Le(1), Nuisance.THRESHOLD]
 ShareThreshold = Annotated[float, Ge(0), Le(1), Nuisance.THRESHOLD]

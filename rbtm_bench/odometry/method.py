@@ -34,6 +34,8 @@ class Method:
     """Keep the guess along directions of less localizability than this; None: never."""
     judge_points: int = judge.MAX_POINTS
     """Points of a cloud in space that a registration is judged by, at most."""
+    judge_radius: float | None = None
+    """m within which it is judged; None: the backend's ``max_correspondence_distance``."""
 
 
 def band_of(method: Method) -> Band | None:
@@ -98,5 +100,5 @@ class Work:
         self, source: Prepared, target: Prepared, T_target_source: Array
     ) -> RegistrationResult:
         """The judged registration of a pair. Raises ``BackendError`` if it cannot be done."""
-        most = self.method.judge_points
-        return judge.register(self.method.backend, source, target, T_target_source, most)
+        most, radius = self.method.judge_points, self.method.judge_radius
+        return judge.register(self.method.backend, source, target, T_target_source, most, radius)

@@ -115,13 +115,14 @@ class KnownRegistrations:
         results: Bounded[RegistrationResult | BackendError],
         judge_points: int = judge.MAX_POINTS,
         own: bytes | None = None,
+        judge_radius: float | None = None,
     ) -> None:
-        """``common`` tells this data set, backend and ``judge_points`` from others in ``store``
+        """``common`` tells this data set, backend and ``judge_...`` from others in ``store``
         and in the memories ``scans`` and ``results``, which several backends share. With ``own``,
         which tells strangers in this process apart as well, new pairs are stored under that."""
         self.backend, self._store, self._common, self._own = backend, store, common, own
         self.scans, self.results = scans, results
-        self._judge_points = judge_points
+        self._judge_points, self._judge_radius = judge_points, judge_radius
 
     def prepare(self, scan: Scan) -> tuple[Prepared, float]:
         """As ``Work.prepare``."""
@@ -170,8 +171,8 @@ class KnownRegistrations:
         self, source: Prepared, target: Prepared, T_target_source: Array
     ) -> RegistrationResult | BackendError:
         try:
-            most = self._judge_points
-            return judge.register(self.backend, source, target, T_target_source, most)
+            most, radius = self._judge_points, self._judge_radius
+            return judge.register(self.backend, source, target, T_target_source, most, radius)
         except BackendError as error:
             return error.with_traceback(None)
 

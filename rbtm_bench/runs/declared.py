@@ -19,6 +19,7 @@ FOR_PAIRS = (
     "target",
     "guess_along_degenerate",
     "judge_points",
+    "judge_radius",
 )
 """The groups and settings that a backend which is a whole system does without."""
 
@@ -100,6 +101,7 @@ SHARED = {
     "map_resolution": Shared(Annotated[float, Gt(0)], Kind.HOW),
     "guess_along_degenerate": Shared(Annotated[float, Gt(0), Lt(1)] | None, Kind.WHAT),
     "judge_points": Shared(Annotated[int, Ge(100)], Kind.WHAT),
+    "judge_radius": Shared(Annotated[float, Gt(0)] | None, Kind.WHAT),
     "registration": Shared(None, Kind.FEED),
     "descriptor": Shared(None, Kind.FEED),
 }

@@ -164,6 +164,7 @@ def instantiate(settings: Settings) -> Parts:
         **{g: build(config[g]) for g in PLUGIN_GROUPS if g != "dataset"},
         guess_along_degenerate=config["guess_along_degenerate"],
         judge_points=config["judge_points"],
+        judge_radius=config["judge_radius"],
     )
     work = None if watch is None else WatchedWork(Work(method), watch)
     return Parts(dataset, method, build_metrics(config), work)

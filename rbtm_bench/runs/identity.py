@@ -32,6 +32,7 @@ SEPARATE = (Kind.SEED, Kind.OTHER_RUN)
 
 _USUAL = {f"perturbation.{key}": value for key, value in PERTURBATION.items()}
 _USUAL |= {f"perturb.{key}": value for key, value in PERTURB.items()}
+_USUAL |= {"judge_radius": None, "target.voxel_size": None}
 
 
 @dataclass(frozen=True)

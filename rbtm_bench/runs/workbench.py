@@ -63,7 +63,7 @@ class Workbench:
         if is_system(config):  # it remembers, so nothing of it can be shared but the scans
             return experiment.Parts(dataset, experiment.build(config["backend"]), metrics)
         plain = {g: experiment.build(config[g]) for g in ("selector", "check", "target")}
-        judged = [config["backend"], config["judge_points"]]
+        judged = [config["backend"], config["judge_points"], config["judge_radius"]]
         known = self._once("backend", judged, lambda: self._backend(config, dataset))
         guess_node = [config["guess"]]
         guess = experiment.build(config["guess"])
@@ -76,6 +76,7 @@ class Workbench:
             guess=guess,
             guess_along_degenerate=config["guess_along_degenerate"],
             judge_points=config["judge_points"],
+            judge_radius=config["judge_radius"],
             **plain,
         )
         guesses = None
@@ -129,9 +130,9 @@ class Workbench:
 
     def _backend(self, config: dict[str, Any], dataset: SharedDataset) -> KnownRegistrations:
         backend: Backend = experiment.build(config["backend"])
-        most = config["judge_points"]
+        most, radius = config["judge_points"], config["judge_radius"]
         versions = versions_of(backend.requires)
-        facts = dataset.fingerprint(), config["backend"], versions, most
+        facts = dataset.fingerprint(), config["backend"], versions, most, radius
         # what else is at work in this process may have changed anything: its own pairs alone
         beside = sorted(foreign_modules(config) - foreign_modules(config["backend"]))
         common, own = context(*facts), context(*facts, *beside) if beside else None
@@ -142,7 +143,7 @@ class Workbench:
         else:
             scans = Bounded[tuple[Prepared, float]](self.bytes * SHARES["prepared"])
             results = Bounded[RegistrationResult | BackendError](self.bytes * SHARES["results"])
-        return KnownRegistrations(backend, self.store, common, scans, results, most, own)
+        return KnownRegistrations(backend, self.store, common, scans, results, most, own, radius)
 
     def _scores(
         self, config: dict[str, Any], method: Method, dataset: SharedDataset
