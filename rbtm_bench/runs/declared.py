@@ -103,6 +103,7 @@ SHARED = {
     "judge_points": Shared(Annotated[int, Ge(100)], Kind.WHAT),
     "judge_radius": Shared(Annotated[float, Gt(0)] | None, Kind.WHAT),
     "registration": Shared(None, Kind.FEED),
+    "selection": Shared(None, Kind.FEED),
     "descriptor": Shared(None, Kind.FEED),
 }
 """Every setting outside the groups. Whatever else stands in a config is WHAT."""

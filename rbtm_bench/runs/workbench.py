@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.kinds import Kind
 from rbtm_bench.core.types import Array, RegistrationResult
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.odometry.method import Method, Work
@@ -25,7 +26,9 @@ from rbtm_bench.pairs.shared import (
 )
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.pairs.watched import Watch, WatchedWork
-from rbtm_bench.runs import experiment, replicate
+from rbtm_bench.runs import experiment, first_part, replicate
+from rbtm_bench.runs.declared import kind_of
+from rbtm_bench.runs.first_part import Determined
 from rbtm_bench.runs.identity import node_key
 from rbtm_bench.runs.plugins import foreign_modules, is_system
 from rbtm_bench.runs.provenance import versions_of
@@ -58,7 +61,9 @@ class Workbench:
         if self.store is not None:
             self.store.held = self._watch is not None
         experiment.check_fit(settings, dataset.plain)
-        config = replicate.with_moved(settings.config, dataset)
+        determined = self._determined(settings.config, dataset)
+        config = first_part.filled(settings.config, determined.values)
+        config = replicate.with_moved(config, dataset)
         metrics = experiment.build_metrics(config)
         if is_system(config):  # it remembers, so nothing of it can be shared but the scans
             return experiment.Parts(dataset, experiment.build(config["backend"]), metrics)
@@ -86,7 +91,7 @@ class Workbench:
         work: Work = SharedWork(method, known, self._scores(config, method, dataset), guesses)
         if self._watch is not None:
             work = WatchedWork(work, self._watch)
-        return experiment.Parts(dataset, method, metrics, work)
+        return experiment.Parts(dataset, method, metrics, work, determined)
 
     def flush(self) -> None:
         """Let other processes see what this one has computed."""
@@ -107,6 +112,14 @@ class Workbench:
             self._shared[key] = make()
         shared: T = self._shared[key]
         return shared
+
+    def _determined(self, config: dict[str, Any], dataset: SharedDataset) -> Determined:
+        """What the settings leave to the data's first part, once for equal settings."""
+        if is_system(config):
+            return Determined({})
+        nodes = [v for k, v in config.items() if k == "seed" or kind_of(k) is Kind.WHAT]
+        make = lambda: first_part.determined(config, dataset, experiment.method_of)  # noqa: E731
+        return self._once("determined", nodes, make)
 
     def _dataset(self, config: dict[str, Any]) -> SharedDataset:
         data_key = node_key(config["dataset"], replicate.drawn(config))
