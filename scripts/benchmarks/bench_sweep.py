@@ -41,10 +41,13 @@ class Side:
     digest: str
 
 
+SIMILARITY = "similarity=curvature_circular"
+
+
 def grid(log: str, scans: int | None) -> list[Settings]:
     """The 70 points."""
     words = ["dataset=carmen", f"dataset.path={log}", f"dataset.max_scans={scans or 'null'}"]
-    base = compose_settings([*words, "backend=open3d_p2p", "selector=rbtm"])
+    base = compose_settings([*words, "backend=open3d_p2p", "selector=rbtm", SIMILARITY])
     points = []
     for window in WINDOWS:
         for threshold in THRESHOLDS:

@@ -24,6 +24,7 @@ from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.runs.experiment import instantiate
 from rbtm_bench.runs.settings import compose_settings
 
+CURVATURE = ("similarity=curvature_circular", "selector.threshold=0.7")
 RBTM = "selector=rbtm_verified"
 METHODS = {
     "previous": (RBTM, "selector.fallback=previous"),
@@ -126,7 +127,13 @@ HEAD = (
 def aces_words(folder: Path) -> list[str]:
     """The settings for the first 600 scans of ACES."""
     log = folder / "freiburg" / "aces.clf.gz"
-    return ["dataset=carmen", f"dataset.path='{log}'", "dataset.max_scans=600", "guess=odometry"]
+    return [
+        "dataset=carmen",
+        f"dataset.path='{log}'",
+        "dataset.max_scans=600",
+        "guess=odometry",
+        *CURVATURE,
+    ]
 
 
 def main() -> int:
