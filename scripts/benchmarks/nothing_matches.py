@@ -24,12 +24,11 @@ from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.runs.experiment import instantiate
 from rbtm_bench.runs.settings import compose_settings
 
-CURVATURE = ("similarity=curvature_circular", "selector.threshold=0.7")
-RBTM = "selector=rbtm_verified"
+RBTM = ("selector=rbtm_verified", "selector.threshold=0.7")
 METHODS = {
-    "previous": (RBTM, "selector.fallback=previous"),
-    "skip, no restart": (RBTM, "selector.fallback=skip", "selector.restart_after=1000000"),
-    "skip": (RBTM, "selector.fallback=skip"),
+    "previous": (*RBTM, "selector.fallback=previous"),
+    "skip, no restart": (*RBTM, "selector.fallback=skip", "selector.restart_after=1000000"),
+    "skip": (*RBTM, "selector.fallback=skip"),
 }
 GUESS_ALONE = ("selector=previous", "backend=none")
 AFTER = 20
@@ -132,7 +131,7 @@ def aces_words(folder: Path) -> list[str]:
         f"dataset.path='{log}'",
         "dataset.max_scans=600",
         "guess=odometry",
-        *CURVATURE,
+        "similarity=curvature_circular",
     ]
 
 
