@@ -13,6 +13,7 @@ from rbtm_bench.core.geometry import se2
 from rbtm_bench.core.types import Node, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.pairs.shared import SharedDataset
+from rbtm_bench.report import screen
 from rbtm_bench.runs import experiment
 from rbtm_bench.runs.first_part import (
     UNDECIDED,
@@ -179,3 +180,10 @@ def test_a_keyframe_relative_to_the_scene(tmp_path: Path) -> None:
     parts = experiment.instantiate(compose_settings(words))
     assert ranges == pytest.approx(median_range(parts.dataset), rel=0.01)
     assert read_run(tmp_path / "run").section("selector")["distance"] == pytest.approx(0.1 * ranges)
+
+
+def test_the_summary_of_a_run_says_it(tmp_path: Path) -> None:
+    words = [*SCANS, "selector=rbtm", "selector.threshold=auto"]
+    record = experiment.run(compose_settings(words), tmp_path / "run")
+    (line,) = [one for one in screen.of_run(tmp_path / "run").splitlines() if "decides" in one]
+    assert line.strip() == record["readings"][-1]
