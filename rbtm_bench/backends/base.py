@@ -173,8 +173,9 @@ class Alignment:
 
 
 class Backend(ABC):
-    """A registration method. ``max_correspondence_distance`` (m) is also the judge's radius;
-    ``voxel_size`` (m, 0: off) thins every scan before the method sees it."""
+    """A registration method. ``max_correspondence_distance`` (m) is also the judge's radius
+    unless ``judge_radius`` says otherwise; ``voxel_size`` (m, 0: off) thins every scan before the
+    method sees it."""
 
     requires: tuple[str, ...] = ()
     """Names of the Python packages that must be importable."""
@@ -221,12 +222,17 @@ class Backend(ABC):
         thinned = voxel_downsample(points, self.voxel_size)
         return self._prepared(thinned, scan.planar, ((scan.index, None),))
 
-    def merge(self, parts: Sequence[tuple[Prepared, Array]]) -> Prepared:
-        """One target out of several prepared scans, each with its T_target_part (4, 4)."""
+    def merge(
+        self, parts: Sequence[tuple[Prepared, Array]], voxel_size: float | None = None
+    ) -> Prepared:
+        """One target out of several prepared scans, each with its T_target_part (4, 4), thinned by
+        ``voxel_size`` m (None: as scans are)."""
         points = np.concatenate([transform(T, part.points) for part, T in parts])
-        thinned = voxel_downsample(points, self.voxel_size)
+        thinned = voxel_downsample(points, self.voxel_size if voxel_size is None else voxel_size)
         planar = all(part.planar for part, _ in parts)
-        return self._prepared(thinned, planar, joined_key(parts))
+        own = b"" if voxel_size is None else np.float64(voxel_size).tobytes()
+        key = tuple((number, (T or b"") + own) for number, T in joined_key(parts))
+        return self._prepared(thinned, planar, key)
 
     def join(self, parts: Sequence[tuple[Prepared, Array]]) -> Prepared:
         """As ``merge``, without the work that was done for each part where a backend can keep it:

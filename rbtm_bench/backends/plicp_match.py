@@ -50,6 +50,7 @@ class PlicpSettings(NamedTuple):
     refine_multiplier: float
     remove_doubles: bool
     min_share: float
+    floor: float
 
 
 def surface_of(points: Array, min_length: float) -> Surface:
@@ -180,10 +181,10 @@ def match(
         count += 1
     if settings.remove_doubles:
         count = remove_doubles(moved, target, matches, count)
+    order, floor = settings.adaptive_order, settings.floor
     if refines:
-        return trim(matches, count, 1.0, settings.adaptive_order, settings.refine_multiplier)
-    percent, multiplier = settings.max_percent, settings.adaptive_multiplier
-    return trim(matches, count, percent, settings.adaptive_order, multiplier)
+        return trim(matches, count, 1.0, order, settings.refine_multiplier, 0.0)
+    return trim(matches, count, settings.max_percent, order, settings.adaptive_multiplier, floor)
 
 
 @kernel
@@ -213,11 +214,11 @@ def remove_doubles(moved: Array, target: Array, matches: Matches, count: int) ->
 
 @kernel
 def trim(
-    matches: Matches, count: int, percent: float, order: float, multiplier: float
+    matches: Matches, count: int, percent: float, order: float, multiplier: float, floor: float
 ) -> tuple[int, float]:
-    """Drop the matches farther than the one at the share ``percent`` of them, or farther than
-    ``multiplier`` times the one at the share ``order``: how many are left, and their mean square
-    distance (m^2)."""
+    """Drop the matches farther than ``floor`` m that are farther than the one at the share
+    ``percent`` of them, or than ``multiplier`` times the one at the share ``order``: how many are
+    left, and their mean square distance (m^2)."""
     if count == 0:
         return 0, 0.0
     distance = matches.distance[:count]
@@ -226,6 +227,7 @@ def trim(
     place = int(count * percent)
     if place < count:
         limit = min(limit, np.partition(distance, place)[place])
+    limit = max(limit, floor)
     kept, total = 0, 0.0
     for m in range(count):
         if matches.distance[m] <= limit:

@@ -29,6 +29,9 @@ The folder (out=DIR) holds config.yaml, run.json, steps.parquet (a row a scan), 
 metrics.json, map.npz and, on data with relations, relations.parquet. An existing one is refused
 unless overwrite=true. time_limit=SECONDS ends a run that takes longer, memory_limit=MB one that
 has more memory resident.
+On logs and clouds selector.threshold=auto is the default: the highest threshold that decides, in
+the data's first part, nearly as many scans as any does; and keyframes are a tenth of the median
+range apart (docs/selection.md). run.json and the tables have the numbers.
 rbtm-bench list shows the choices; --cfg job prints the composed settings."""
 
 COMPARE_HELP = """\

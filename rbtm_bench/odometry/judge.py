@@ -45,18 +45,22 @@ def register(
     target: Prepared,
     T_target_source: Array,
     most: int = MAX_POINTS,
+    radius: float | None = None,
 ) -> RegistrationResult:
-    """The backend's registration from the initial guess ``T_target_source`` (4, 4), judged by at
-    most ``most`` points of a cloud in space.
+    """The backend's registration from the initial guess ``T_target_source`` (4, 4), judged within
+    ``radius`` m (None: the backend's ``max_correspondence_distance``) by at most ``most`` points of
+    a cloud in space.
 
     ``converged`` is False, whatever the library says, when fewer than 3 source points lie within
-    the backend's ``max_correspondence_distance`` of the target. Raises as ``Backend.register``.
+    that radius of the target. Raises as ``Backend.register``.
     """
     compile_kernels()
     alignment = backend.register(source, target, T_target_source)
     if type(backend).register is not Backend.register:  # of its own making: looked at as well
         alignment = checked_alignment(backend, alignment, source.planar and target.planar)
-    return judged(alignment, source, target, backend.max_correspondence_distance, most)
+    if radius is None:
+        radius = backend.max_correspondence_distance
+    return judged(alignment, source, target, radius, most)
 
 
 def judged(

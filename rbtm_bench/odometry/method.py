@@ -54,6 +54,8 @@ class Method:
     """What follows a registration that the check refuses."""
     judge_points: int = judge.MAX_POINTS
     """Points of a cloud in space that a registration is judged by, at most."""
+    judge_radius: float | None = None
+    """m within which it is judged; None: the backend's ``max_correspondence_distance``."""
 
 
 class Ready(NamedTuple):
@@ -127,5 +129,5 @@ class Work:
         self, source: Prepared, target: Prepared, T_target_source: Array
     ) -> RegistrationResult:
         """The judged registration of a pair. Raises ``BackendError`` if it cannot be done."""
-        most = self.method.judge_points
-        return judge.register(self.method.backend, source, target, T_target_source, most)
+        most, radius = self.method.judge_points, self.method.judge_radius
+        return judge.register(self.method.backend, source, target, T_target_source, most, radius)

@@ -37,7 +37,7 @@ def first_pick(window: Window, selection: Selection, selector: Selector) -> str:
     """Which member a selector with scores would try first in a full window (one of
     ``step_columns.PICKS``), before any check; "" of any other."""
     members = len(window)
-    if not selector.needs_scores or members < window.capacity:
+    if not selector.needs_scores or not window.is_full:
         return ""
     if selection.undefined == members:
         return "undefined"

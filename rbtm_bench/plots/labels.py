@@ -42,8 +42,7 @@ def is_system(run: Run) -> bool:
 
 def section(run: Run, group: str) -> dict[str, Any]:
     """The settings of a group; empty if it has none."""
-    node = run.config.get(group)
-    return node if isinstance(node, dict) else {}
+    return run.section(group)
 
 
 def numbers(run: Run, group: str) -> dict[str, float]:

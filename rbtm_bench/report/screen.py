@@ -36,6 +36,9 @@ def of_run(out: Path) -> str:
     row = frame.row(run)
     head = f"{row['dataset']}, {row['backend']}, {row['selector']}"
     lines = [f"{head}: {row['scans']} scans in {row['seconds']:.1f} s", *key_numbers(row)]
+    determined = run.record.get("determined") or ()
+    read = run.record.get("readings") or []
+    lines += [f"  {line}" for line in read if line.startswith(tuple(determined))]
     lines += [words] if (words := answer.dead_words(run)) else []
     if run.record.get("skipped_records"):
         lines.append(f"  {run.record['skipped_records']} malformed records were skipped")

@@ -35,6 +35,7 @@ FOR_PAIRS = (
     "guess_weight",
     "motion_filter",
     "judge_points",
+    "judge_radius",
 )
 """The groups and settings that a backend which is a whole system does without."""
 
@@ -125,7 +126,9 @@ SHARED = {
     "motion_filter": Shared(MotionFilterSettings, Kind.WHAT),
     "guess_along_degenerate": Shared(Annotated[float, Gt(0), Lt(1)] | None, Kind.WHAT),
     "judge_points": Shared(Annotated[int, Ge(100)], Kind.WHAT),
+    "judge_radius": Shared(Annotated[float, Gt(0)] | None, Kind.WHAT),
     "registration": Shared(None, Kind.FEED),
+    "selection": Shared(None, Kind.FEED),
     "descriptor": Shared(None, Kind.FEED),
 }
 """Every setting outside the groups. Whatever else stands in a config is WHAT."""

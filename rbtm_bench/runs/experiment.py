@@ -13,7 +13,7 @@ import contextlib
 import os
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -45,7 +45,7 @@ from rbtm_bench.odometry.method import Method, MotionFilter, Work
 from rbtm_bench.odometry.system import system_odometry
 from rbtm_bench.pairs.shared import SharedDataset
 from rbtm_bench.pairs.watched import Watch, WatchedWork
-from rbtm_bench.runs import evaluation, provenance, replicate
+from rbtm_bench.runs import evaluation, first_part, provenance, replicate
 from rbtm_bench.runs.claim import claimed, refuse_existing
 from rbtm_bench.runs.declared import PLUGIN_GROUPS
 from rbtm_bench.runs.pinning import pin_to_free_core
@@ -65,8 +65,6 @@ REGISTERING = ("backend", "search")
 """The groups that are one backend to the loop."""
 SIMILARITY_PICTURE = 181
 """Scans at most in the similarity matrix that a run keeps: the paper's Fig. 1(c)."""
-
-
 BLOCK = 256
 """Scans that a run reads ahead."""
 
@@ -80,6 +78,8 @@ class Parts:
     method: Method | System
     metrics: tuple[Metric, ...]
     work: Work | None = None
+    determined: first_part.Determined | None = None
+    """Settings that followed from the data's first part."""
 
 
 class Bench(Protocol):
@@ -107,7 +107,7 @@ def run(
     refuse_existing(out, overwrite)
     core = pin_to_free_core() if settings.config["pin"] else None
     parts = bench.parts(settings) if bench else instantiate(settings)
-    record = provenance.of_run(settings, parts.dataset, core)
+    record = provenance.of_run(settings, parts.dataset, core, parts.determined)
     if opened:
         opened(parts.dataset)
     with claimed(out, overwrite):
@@ -159,30 +159,35 @@ def instantiate(settings: Settings) -> Parts:
     """
     plain = replicate.copy_of(build(settings.config["dataset"]), settings.config)
     check_fit(settings, plain)
-    config = replicate.with_moved(settings.config, plain)
-    watch = Watch(UNSHARED_BYTES) if foreign_modules(config) else None
+    watch = Watch(UNSHARED_BYTES) if foreign_modules(settings.config) else None
     dataset = SharedDataset(plain, 0.0, watch)
+    config = settings.config
     if is_system(config):
+        config = replicate.with_moved(config, plain)
         return Parts(dataset, build(config["backend"]), build_metrics(config))
-    method = Method(
-        backend=build_backend(config),
-        **{g: build(config[g]) for g in PLUGIN_GROUPS if g not in ("dataset", *REGISTERING)},
-        **loop_settings(config),
-    )
+    known = first_part.determined(config, dataset, method_of)
+    config = replicate.with_moved(first_part.filled(config, known.values), plain)
+    method = method_of(config)
     work = None if watch is None else WatchedWork(Work(method), watch)
-    return Parts(dataset, method, build_metrics(config), work)
+    return Parts(dataset, method, build_metrics(config), work, known)
 
 
-def loop_settings(config: dict[str, Any]) -> dict[str, Any]:
+def method_of(config: Mapping[str, Any]) -> Method:
+    """The method of resolved settings, all of its plug-ins new."""
+    plugins = {g: build(config[g]) for g in PLUGIN_GROUPS if g not in ("dataset", *REGISTERING)}
+    return Method(backend=build_backend(config), **plugins, **loop_settings(config))
+
+
+def loop_settings(config: Mapping[str, Any]) -> dict[str, Any]:
     """The settings of a ``Method`` that are no plug-ins."""
-    names = ("guess_along_degenerate", "guess_weight", "judge_points")
+    names = ("guess_along_degenerate", "guess_weight", "judge_points", "judge_radius")
     return {
         **{name: config[name] for name in names},
         "motion_filter": MotionFilter(**config["motion_filter"]),
     }
 
 
-def build_backend(config: dict[str, Any]) -> Backend:
+def build_backend(config: Mapping[str, Any]) -> Backend:
     """The backend of resolved settings, behind their search."""
     backend: Backend = build(config["search"]).before(build(config["backend"]))
     return backend

@@ -33,6 +33,8 @@ SEPARATE = (Kind.SEED, Kind.OTHER_RUN)
 
 _USUAL = {f"perturbation.{key}": value for key, value in PERTURBATION.items()}
 _USUAL |= {f"perturb.{key}": value for key, value in PERTURB.items()}
+_USUAL |= {"judge_radius": None, "target.voxel_size": None, "selector.window_m": None}
+_USUAL |= {"selector.distance_relative": 0.1, "selector.keyframe_distance_relative": 0.1}
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,16 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from rbtm_bench.backends.base import Backend
+from rbtm_bench.core.kinds import Kind
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.pairs.codec import context
 from rbtm_bench.pairs.shared import KnownScores, Memory, SharedDataset, SharedWork
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.pairs.watched import Watch, WatchedWork
-from rbtm_bench.runs import experiment, replicate
+from rbtm_bench.runs import experiment, first_part, replicate
+from rbtm_bench.runs.declared import kind_of
+from rbtm_bench.runs.first_part import Determined
 from rbtm_bench.runs.identity import node_key
 from rbtm_bench.runs.plugins import foreign_modules, is_system
 from rbtm_bench.runs.provenance import versions_of
@@ -51,7 +54,9 @@ class Workbench:
         if self._store is not None:
             self._store.hold(self._watch is not None)
         experiment.check_fit(settings, dataset.plain)
-        config = replicate.with_moved(settings.config, dataset)
+        determined = self._determined(settings.config, dataset)
+        config = first_part.filled(settings.config, determined.values)
+        config = replicate.with_moved(config, dataset)
         metrics = experiment.build_metrics(config)
         if is_system(config):  # it remembers, so nothing of it can be shared but the scans
             return experiment.Parts(dataset, experiment.build(config["backend"]), metrics)
@@ -75,7 +80,7 @@ class Workbench:
         work: Work = SharedWork(method, memory, self._store, contexts, scores, guess_key)
         if self._watch is not None:
             work = WatchedWork(work, self._watch)
-        return experiment.Parts(dataset, method, metrics, work)
+        return experiment.Parts(dataset, method, metrics, work, determined)
 
     def flush(self) -> None:
         """Let other processes see what this one has computed."""
@@ -101,6 +106,14 @@ class Workbench:
             self._shared[key] = make()
         shared: T = self._shared[key]
         return shared
+
+    def _determined(self, config: dict[str, Any], dataset: SharedDataset) -> Determined:
+        """What the settings leave to the data's first part, once for equal settings."""
+        if is_system(config):
+            return Determined({})
+        nodes = [v for k, v in config.items() if k == "seed" or kind_of(k) is Kind.WHAT]
+        make = lambda: first_part.determined(config, dataset, experiment.method_of)  # noqa: E731
+        return self._once("determined", nodes, make)
 
     def _dataset(self, config: dict[str, Any]) -> SharedDataset:
         data_key = node_key(config["dataset"], replicate.drawn(config))
@@ -128,14 +141,14 @@ class Workbench:
         """What tells the registrations of a data set and a backend from others. With strangers at
         work in this process, which may have changed anything, their names do as well."""
         node = experiment.backend_node(config)
+        judged = config["judge_points"], config["judge_radius"]
         beside = sorted(foreign_modules(config) - foreign_modules(node))
 
         def make() -> list[bytes]:
-            versions = versions_of(backend.requires)
-            facts = dataset.fingerprint(), node, versions, config["judge_points"]
+            facts = dataset.fingerprint(), node, versions_of(backend.requires), *judged
             return [context(*facts), *([context(*facts, beside)] if beside else [])]
 
-        return self._once("contexts", [node, config["judge_points"], beside], make)
+        return self._once("contexts", [node, *judged, beside], make)
 
     def _scores(
         self, config: dict[str, Any], method: Method, dataset: SharedDataset

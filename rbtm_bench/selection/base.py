@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.core.uncertainty import InformationFrom
 from rbtm_bench.selection.window import Keyframes, Window
@@ -204,6 +205,16 @@ class Selector(ABC):
         return int(np.nanargmax(scores))
 
 
-def keyframes_or_scans(content: Content, distance: float, angle_deg: float) -> Keyframes | None:
+def keyframes_or_scans(
+    content: Content, distance: float | None, angle_deg: float
+) -> Keyframes | None:
     """The window's rule for ``content``: None keeps every scan."""
-    return Keyframes(distance, angle_deg) if content == "keyframes" else None
+    return keyframes_every(distance, angle_deg) if content == "keyframes" else None
+
+
+def keyframes_every(distance: float | None, angle_deg: float) -> Keyframes:
+    """A keyframe every ``distance`` m. Raises ``ConfigError`` for None: a run takes it from the
+    data before it makes the selector."""
+    if distance is None:
+        raise ConfigError("the keyframe distance is not set: expected m, or a run on data")
+    return Keyframes(distance, angle_deg)
