@@ -47,7 +47,7 @@ def _file(path: Path) -> dict[str, str]:
         raise DataError(f"{path}: a single cloud; a data set is the folder that it is in")
     if magic_suffix(path) is not None:
         return _bag(path)
-    if not _is_log(path):
+    if not is_log(path):
         raise DataError(f"{path}: not recognised: expected {KNOWN}")
     found = {"dataset": "carmen", "dataset.path": str(path)}
     stem = path.name
@@ -66,7 +66,7 @@ def _bag(path: Path) -> dict[str, str]:
     return {"dataset": name, "dataset.path": str(path)}
 
 
-def _is_log(path: Path) -> bool:
+def is_log(path: Path) -> bool:
     """Whether the file starts like a CARMEN log."""
     lines = itertools.islice(unpacked_lines(path, hashlib.sha256()), LINES)
     return any(line.split(None, 1)[:1] and line.split(None, 1)[0] in _KEYWORDS for line in lines)
