@@ -1,4 +1,4 @@
-"""Read one point cloud file (.ply, .pcd, .bin, .npy, or text), or say what is wrong with it.
+"""Read one point cloud file (.ply, .pcd, .bin, .npy, .las, .laz, or text), or say what is wrong with it.
 
 Headers are read first and held against the file's size; the points follow from what they say.
 """
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.types import Array
-from rbtm_bench.datasets import pcd_file, ply_file
+from rbtm_bench.datasets import las_file, pcd_file, ply_file
 from rbtm_bench.datasets.binary_layouts import LAYOUTS, absurd, read_layout
 from rbtm_bench.datasets.files import file_size, reader
 from rbtm_bench.datasets.text_cloud import read_text
 
-SUFFIXES = (".ply", ".pcd", ".bin", ".npy", ".xyz")
+SUFFIXES = (".ply", ".pcd", ".bin", ".npy", ".xyz", ".las", ".laz")
 TEXT = (".xyz", ".csv", ".txt")
 """Of these .csv and .txt may be trajectories as well: they are clouds where a pattern says so."""
 
@@ -55,6 +55,8 @@ def read_points(
         return _npy_points(path, columns)
     if suffix in TEXT:
         return _text_points(path, columns)
+    if suffix in las_file.SUFFIXES:
+        return las_file.read_las(path)
     return ply_file.read_ply(path) if suffix == ".ply" else pcd_file.read_pcd(path)
 
 

@@ -12,11 +12,11 @@ from rbtm_bench.datasets.bag_scans import CLOUD, LASER
 from rbtm_bench.datasets.carmen_messages import LASERS
 from rbtm_bench.datasets.files import unpacked_lines
 
-CLOUDS = (".ply", ".pcd", ".bin", ".npy", ".xyz")
+CLOUDS = (".ply", ".pcd", ".bin", ".npy", ".xyz", ".las", ".laz")
 LOG_SUFFIXES = (".clf", ".log")
 TRUTH = ("*.tum", "poses.txt", "groundtruth.txt", "ground_truth.txt")
 KNOWN = (
-    "a CARMEN log, a folder of clouds (.ply, .pcd, .bin, .npy, .xyz), KITTI's layout "
+    "a CARMEN log, a folder of clouds (.ply, .pcd, .bin, .npy, .xyz, .las), KITTI's layout "
     "(sequences/00/velodyne), or a bag (.bag, .db3, .mcap)"
 )
 LINES = 2000
