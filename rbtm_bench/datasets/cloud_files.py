@@ -1,4 +1,4 @@
-"""Read one point cloud file (.ply, .pcd, .bin, .npy, .las, .laz, or text), or say what is wrong with it.
+"""Read one cloud file (.ply, .pcd, .bin, .npy, .las, .laz, text), or say what is wrong with it.
 
 Headers are read first and held against the file's size; the points follow from what they say.
 """
