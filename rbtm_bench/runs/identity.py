@@ -32,6 +32,7 @@ SEPARATE = (Kind.SEED, Kind.OTHER_RUN)
 
 _USUAL = {f"perturbation.{key}": value for key, value in PERTURBATION.items()}
 _USUAL |= {f"perturb.{key}": value for key, value in PERTURB.items()}
+_USUAL |= {"deskew": False}
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,12 @@ class Identity:
         are those of ``perturb`` as well."""
         if "dataset" in groups and self.settings("perturb"):
             groups = (*groups, "perturb")
-        return _text([[self.choices.get(group), self.settings(group)] for group in groups])
+        if "dataset" in groups and self.data.get("deskew"):
+            return _text(["deskew", *self._parts(groups)])
+        return _text(self._parts(groups))
+
+    def _parts(self, groups: Sequence[str]) -> list[Any]:
+        return [[self.choices.get(group), self.settings(group)] for group in groups]
 
     def settings(self, group: str) -> dict[str, Any]:
         """The settings of a group without its name; idle ones, seeds and folders left out."""
