@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib.util
 import io
 import warnings
 from collections.abc import Callable, Sequence
@@ -35,7 +36,7 @@ POSE_TOLERANCE = 1e-3
 """How far from orthonormal a loader's rotations may be: some files have six digits."""
 
 
-Index = Annotated[int, Ge(0), Le(10)]
+Index = Annotated[int, Ge(0), Le(9999)]
 
 
 @dataclass(frozen=True)
@@ -134,11 +135,12 @@ class KissDataset(Dataset):
         """sha256 of the scans' files, stamps, truth and settings; reads every file once."""
         if self._fingerprint is None:
             digest = hashlib.sha256(repr(self._settings).encode())
+            digests = {file: _file_digest(file) for file in {f.file for f in self.frames}}
             for frame in self.frames:
                 truth = self.ground_truth.get(frame.number)
                 digest.update(np.float64(frame.stamp).tobytes())
                 digest.update(b"no truth" if truth is None else truth.tobytes())
-                digest.update(_file_digest(frame.file))
+                digest.update(digests[frame.file])
             self._fingerprint = digest.hexdigest()
         return self._fingerprint
 
@@ -160,12 +162,13 @@ class KissDataset(Dataset):
 
 class KissFormat(KissDataset):
     """A data set by KISS-ICP's ``loader``: apollo, boreas, generic, helipr, kitti_raw, mulran,
-    ncd (Newer College), nclt or tum.
+    ncd (Newer College), nclt, nuscenes, ouster (one .pcap file) or tum.
 
     ``path`` is the folder that the loader expects (docs/data.md); ``sequence`` a part of it, for
-    helipr (Avia, Aeva, Ouster, Velodyne) and kitti_raw (00 to 10). Times are those of the files'
-    names or of a table beside them, else scans are 1 / ``rate_hz`` s apart, which is said. A truth
-    that belongs to scans by time is within ``tolerance_s`` (s) of them, or not known.
+    helipr (Avia, Aeva, Ouster, Velodyne), kitti_raw (00 to 10) and nuscenes (a scene's number).
+    Times are those of the files' names or of a table beside them, else scans are 1 / ``rate_hz`` s
+    apart, which is said. A truth that belongs to scans by time is within ``tolerance_s`` (s) of
+    them, or not known.
     ``min_range``, ``max_range`` in m; ``stride`` keeps every n-th scan, then ``max_scans`` the
     first so many. Points are read anew where the loader is known to err (``kiss_formats``).
 
@@ -177,7 +180,17 @@ class KissFormat(KissDataset):
         self,
         path: str,
         loader: Literal[
-            "apollo", "boreas", "generic", "helipr", "kitti_raw", "mulran", "ncd", "nclt", "tum"
+            "apollo",
+            "boreas",
+            "generic",
+            "helipr",
+            "kitti_raw",
+            "mulran",
+            "ncd",
+            "nclt",
+            "nuscenes",
+            "ouster",
+            "tum",
         ],
         sequence: Literal["Avia", "Aeva", "Ouster", "Velodyne"] | Index | None = None,
         rate_hz: Annotated[float, Gt(0)] = 10.0,
@@ -190,7 +203,11 @@ class KissFormat(KissDataset):
         form, folder = FORMATS[loader], Path(path).absolute()
         if form.sequence and sequence is None:
             raise ConfigError(f"{path}: dataset.sequence= says which sequence {loader} reads")
-        if not folder.is_dir():
+        if form.module and importlib.util.find_spec(form.module) is None:
+            raise ConfigError(f"dataset={loader} needs {form.package}: pip install {form.package}")
+        if form.one_file:
+            file_size(folder)
+        elif not folder.is_dir():
             raise DataError(f"{path}: expected the folder of a data set")
         named = {"sequence": str(sequence)} if form.sequence else {}
         opened = open_loader(loader, folder, **named)
