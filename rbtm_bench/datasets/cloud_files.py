@@ -118,7 +118,15 @@ def _open_npy(path: Path) -> NDArray[np.generic]:
 def usable(
     path: Path, points: Array, min_range: float = 0.0, max_range: float = np.inf
 ) -> tuple[Array, dict[str, int]]:
-    """The points (N, 3) m that are returns within range, and how many others there are by cause.
+    """The points (N, 3) m that are returns within range, and how many others there are by cause."""
+    mask, causes = returns(path, points, min_range, max_range)
+    return points[mask], causes
+
+
+def returns(
+    path: Path, points: Array, min_range: float, max_range: float
+) -> tuple[NDArray[np.bool_], dict[str, int]]:
+    """Which (N,) of the points (N, 3) m are returns within range; how many are not, by cause.
 
     A point in the sensor itself is how organised clouds write "no return". Raises ``DataError``
     if none is left, or so many are implausible that the file must be something else.
@@ -134,8 +142,8 @@ def usable(
             f"{path}: {np.count_nonzero(bad)} of {len(points)} points are beyond 10 km or next to "
             "nothing: another layout, byte order or unit (dataset.layout=, dataset.scale=)?"
         )
-    kept: Array = points[good & ~near & ~far]
-    if len(kept) == 0:
+    kept = good & ~near & ~far
+    if not kept.any():
         raise DataError(f"{path}: no point within range ({len(points)} points in the file)")
     causes = {"not_finite": ~finite, "implausible": bad, "too_near": near, "too_far": far}
     return kept, {cause: int(np.count_nonzero(mask)) for cause, mask in causes.items()}

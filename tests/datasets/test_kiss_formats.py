@@ -204,6 +204,17 @@ def test_its_folder_is_recognised(name: str, tmp_path: Path) -> None:
             recognise(str(path))
 
 
+@pytest.mark.parametrize("name", ["boreas", "kitti_raw"])
+def test_times_within_the_sweep(name: str, tmp_path: Path) -> None:
+    data = made(name, tmp_path)
+    sweep = float(np.median(np.diff(data.stamps)))
+    kept = data[1]
+    assert kept.times is not None and len(kept.times) == len(kept.points) and sweep > 0
+    assert 0 <= kept.times.min() < kept.times.max() <= sweep
+    again = made(name, tmp_path / "again", min_range=float(np.linalg.norm(kept.points[0])))[1]
+    assert again.times is not None and len(again.times) == len(again.points) < len(kept.points)
+
+
 def test_depth_images(tmp_path: Path) -> None:
     data = made("tum", tmp_path, tolerance_s=0.02)
     assert [one.ground_truth is not None for one in data] == [True, False, True, True]
