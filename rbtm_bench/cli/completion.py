@@ -18,6 +18,7 @@ COMMANDS = (
     "similarity",
     "calibrate",
     "data",
+    "download",
     "list",
     "doctor",
 )

@@ -97,7 +97,7 @@ def data_name(run: Run) -> str:
     data = section(run, "dataset")
     detail = _path_stem(data["path"]) if data.get("path") else data.get("environment")
     name = choice(run, "dataset")
-    return unbroken(f"{name} ({detail})") if detail else name
+    return unbroken(f"{name} ({detail})") if detail and detail != name else name
 
 
 def data_key(run: Run) -> str:

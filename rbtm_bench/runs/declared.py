@@ -114,6 +114,7 @@ SHARED = {
     "replicate": Shared(Annotated[int, Ge(0)], Kind.SEED),
     "perturbation": Shared(Perturbation, Kind.WHAT),
     "perturb": Shared(Perturb, Kind.DATA),
+    "deskew": Shared(bool, Kind.DATA),
     "out": Shared(str | None, Kind.HOW),
     "overwrite": Shared(bool, Kind.HOW),
     "pictures": Shared(bool, Kind.HOW),

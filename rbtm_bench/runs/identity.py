@@ -35,6 +35,8 @@ _USUAL = {f"perturbation.{key}": value for key, value in PERTURBATION.items()}
 _USUAL |= {f"perturb.{key}": value for key, value in PERTURB.items()}
 _USUAL |= {"judge_radius": None, "target.voxel_size": None, "selector.window_m": None}
 _USUAL |= {"selector.distance_relative": 0.1, "selector.keyframe_distance_relative": 0.1}
+_USUAL |= {"deskew": False, "guess_weight": None}
+_USUAL |= {"motion_filter.distance": 0.0, "motion_filter.angle_deg": 0.0}
 
 
 @dataclass(frozen=True)
@@ -97,7 +99,12 @@ class Identity:
         are those of ``perturb`` as well."""
         if "dataset" in groups and self.settings("perturb"):
             groups = (*groups, "perturb")
-        return _text([[self.choices.get(group), self.settings(group)] for group in groups])
+        if "dataset" in groups and self.data.get("deskew"):
+            return _text(["deskew", *self._parts(groups)])
+        return _text(self._parts(groups))
+
+    def _parts(self, groups: Sequence[str]) -> list[Any]:
+        return [[self.choices.get(group), self.settings(group)] for group in groups]
 
     def settings(self, group: str) -> dict[str, Any]:
         """The settings of a group without its name; idle ones, seeds and folders left out."""

@@ -71,14 +71,18 @@ class SearchedBackend(Backend):
     def running_map(self, limits: MapLimits) -> RunningMap | None:
         return self.wrapped.running_map(limits)
 
-    def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
+    def register(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
         started = time.perf_counter()
         start = self.search.start(source, target, T_target_source)
         seconds = time.perf_counter() - started
         alignment = self.wrapped.register(source, target, start.T_target_source)
         return replace(
             alignment,
+            seconds=seconds + alignment.seconds,
             search_seconds=seconds,
             search_score=start.score,
             search_peak_ratio=start.peak_ratio,
         )
+
+    def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
+        return self.wrapped.align(source, target, T_target_source)

@@ -9,7 +9,7 @@ from annotated_types import Ge, Gt, Le
 
 from rbtm_bench.backends.base import Prepared
 from rbtm_bench.backends.correlative import CorrelativeMatcher
-from rbtm_bench.core.geometry import se2, yaw
+from rbtm_bench.core.geometry import inverse, se2, yaw
 from rbtm_bench.core.types import Array
 from rbtm_bench.search.base import Search, Start
 
@@ -53,7 +53,11 @@ class CorrelativeSearch(Search):
         distance = math.hypot(T_target_source[0, 3], T_target_source[1, 3])
         translation = self.translation + self.by_distance * distance
         rotation = self.rotation + self.by_turn * abs(float(yaw(T_target_source)))
-        peak = self.matcher.match(source, target, T_target_source, translation, rotation)
+        built, guess = target.as_built(T_target_source)  # its field is kept
+        peak = self.matcher.match(source, built, guess, translation, rotation)
         if peak.score == 0.0 or peak.score < peak.middle_score + self.min_gain:
             return Start(T_target_source, peak.middle_score, peak.peak_ratio)
-        return Start(se2(*peak.pose), peak.score, peak.peak_ratio)
+        pose = se2(*peak.pose)
+        if built is not target:
+            pose = T_target_source @ inverse(guess) @ pose
+        return Start(pose, peak.score, peak.peak_ratio)
