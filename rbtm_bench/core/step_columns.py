@@ -72,7 +72,7 @@ STEPS = (
     StepColumn("t_guess_s", "float", "s", "what the guess registers itself", 0.0),
     StepColumn("t_select_s", "float", "s", "scores and selection", 0.0),
     StepColumn("t_register_s", "float", "s", "the backend's registrations", 0.0),
-    StepColumn("t_search_s", "float", "s", "of that the search before the one believed"),
+    StepColumn("search_seconds", "float", "s", "of that the search before the one believed"),
     StepColumn("t_check_s", "float", "s", "judging and checking", 0.0),
 )
 """The columns of steps.parquet, a row a scan."""

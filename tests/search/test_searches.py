@@ -107,11 +107,11 @@ def test_a_run_says_what_its_search_cost_and_shares_its_pairs(tmp_path: Path) ->
     assert len(tables) == 2
     (searched,) = (t for name, t in tables.items() if "correlative" in name)
     (plain,) = (t for name, t in tables.items() if "correlative" not in name)
-    assert plain["search_score"].isna().all() and plain["t_search_s"].isna().all()
+    assert plain["search_score"].isna().all() and plain["search_seconds"].isna().all()
     done = searched[searched["status"] == "registered"]
     assert len(done) and done["reused"].all()  # the second time out of the store
     assert done["search_score"].between(0.5, 1.0).all()
-    assert (done["t_search_s"] < done["t_register_s"]).all()
+    assert (done["search_seconds"] < done["t_register_s"]).all()
     assert (searched["fitness"].to_numpy()[1:] != plain["fitness"].to_numpy()[1:]).any()
 
 
