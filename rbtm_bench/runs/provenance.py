@@ -33,6 +33,7 @@ def of_run(settings: Settings, dataset: Dataset | None, core: int | None) -> dic
         "overrides": list(settings.overrides),
         "special": {key: kind.name for key, kind in settings.special.items()},
         "idle": list(settings.idle),
+        "control": settings.control,
         "seed": settings.config["seed"],
         "replicate": None if dataset is None else _replicate(settings, dataset),
         "scans": len(dataset) if dataset is not None else None,

@@ -17,6 +17,8 @@ class LocalMap(Target):
     """The model scan and up to ``neighbours`` members of the window on either side of it, placed
     by their estimated poses and merged into one cloud. The last map built is kept."""
 
+    needs_nodes = 2  # of fewer it is the model scan alone
+
     def __init__(self, neighbours: Annotated[int, Ge(1)] = 2) -> None:
         self.neighbours = neighbours
         self._last: tuple[list[Node], Prepared] | None = None
