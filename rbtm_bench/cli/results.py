@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from rbtm_bench.core.errors import ConfigError, one_line
 from rbtm_bench.report import frame
 from rbtm_bench.report.frame import MethodRuns
+from rbtm_bench.report.replicates import SHIFTED
 from rbtm_bench.runs import stored
 from rbtm_bench.runs.stored import Run
 
@@ -79,7 +80,10 @@ def table(words: list[str]) -> int:
     rows = _arranged(rows, options)
     if options.format == "text":
         keep = ["run", *render.ALWAYS, *best_settings.main_errors(rows)]
-        print("\n".join(render.fitted(*_columns(rows, options.columns, keep))))
+        shown = rows if options.over_seeds else _without_rotations(rows)
+        print("\n".join(render.fitted(*_columns(shown, options.columns, keep))))
+        if len(shown) < len(rows):
+            print(f"{len(rows) - len(shown)} runs of {SHIFTED} are one row of --over-seeds")
         methods = frame.methods(runs)
         if options.over_seeds:
             methods = [methods[i] for i in sorted(rows.index)]
@@ -89,6 +93,12 @@ def table(words: list[str]) -> int:
         return 0
     print(render.render(_columns(rows, options.columns)[0], options.format))
     return 0
+
+
+def _without_rotations(rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows without those of one rotation each, unless there are no others."""
+    others = rows[rows["selector"] != SHIFTED]
+    return rows if others.empty else others
 
 
 def _places(options: argparse.Namespace) -> str:

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 ERRORS = tuple((column.name, column.unit, column.title) for column in MAIN)
 """What methods are compared by: the first of these that the runs on a data set have."""
 
-BEST = (*METHOD, "seeds", "replicates", "status", "coverage")
+BEST = (*METHOD, "control", "seeds", "replicates", "status", "coverage")
 """The columns of the table of best settings, before the errors, ms_per_scan and tried."""
 
-BOUND = "oracle"
-"""The selector that sees the truth: a bound, it wins nothing."""
+NO_METHODS = ("oracle", "shifted_gap")
+"""Selectors that win nothing: what sees the truth is a bound, rotations are a test."""
 
 MOST_LISTED = 4
 """Names or sentences of a kind at most, so that a screen holds all."""
@@ -41,9 +41,9 @@ def main_errors(table: pd.DataFrame) -> list[str]:
 
 
 def champion(rows: pd.DataFrame, key: str) -> pd.Series[Any] | None:
-    """The ``winner`` over all rows of a data set but those that see the truth; of equal ones one
-    without a threshold, which did it for less."""
-    rows = rows[rows["selector"] != BOUND]
+    """The ``winner`` over all rows of a data set but ``NO_METHODS``; of equal ones one without a
+    threshold, which did it for less."""
+    rows = rows[~rows["selector"].isin(NO_METHODS)]
     won = winner(rows, key)
     if won is None or "threshold" not in rows:
         return won

@@ -26,6 +26,12 @@ NAMED = 2
 REASONS = 5
 """Reasons of failure that are listed at most."""
 
+CONTROLS = (
+    "control: not asked for (controls=none: without); matched to the mean reach of the best rbtm;\n"
+    "  rotated: its gaps at other times, the median over rotations"
+)
+"""What the column says."""
+
 LINES = tuple(sorted((c for c in COLUMNS if c.line), key=lambda c: c.plain_unit in ("", "scans")))
 """The numbers in the summary of a run: errors and time, then shares and counts."""
 
@@ -125,13 +131,15 @@ def _with_same(table: pd.DataFrame, columns: Sequence[str], keep: Sequence[str])
     lines = render.fitted(shown, keep)
     lines += [f"the same in every row: {same}"] if same else []
     seeds = int(table["seeds"].max()) if table["seeds"].notna().any() else 1
-    if "quartiles" in shown:
+    if shown.get("unperturbed") is not None and shown["unperturbed"].notna().any():
         lines.append(
             "medians over distinct replicates (perturbed copies of the data); beside the main "
             "error its quartiles, the worst, and the run on the data as they are"
         )
     elif seeds > 1:
         lines.append(f"medians over the runs of a method that differ only in their seed ({seeds})")
+    if "control" in shown and shown["control"].notna().any():
+        lines.append(CONTROLS)
     return lines
 
 
@@ -153,7 +161,8 @@ def _with_spread(
     beside = ["quartiles", "worst", "unperturbed"]
     table = table.assign(**{name: [row.get(name) for row in rows] for name in beside})
     at = list(columns).index(main[0]) + 1
-    return table, [*columns[:at], *beside, *columns[at:]], (*keep, *beside)
+    copied = "replicates" in table and table["replicates"].notna().any()  # else: rotations alone
+    return table, [*columns[:at], *beside, *columns[at:]], (*keep, *(beside if copied else ()))
 
 
 def replicates_outside(methods: Sequence[MethodRuns]) -> list[str]:
@@ -266,7 +275,10 @@ def _other_versions(runs: Sequence[Run]) -> list[str]:
 
 
 def _repeated(runs: Sequence[Run]) -> list[str]:
-    groups = Counter((run.method, run.record.get("seed"), number_of(run)) for run in runs)
+    groups = Counter(
+        (run.method, run.record.get("seed"), number_of(run), run.section("selector").get("offset"))
+        for run in runs
+    )
     again = sum(count - 1 for count in groups.values())
     if not again:
         return []

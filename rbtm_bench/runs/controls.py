@@ -166,12 +166,12 @@ def oldest(point: Point) -> Settings:
 def keyframe(point: Point, distance: float) -> Settings:
     """Its turns stay those of the selector: only the distance is matched."""
     node = {"distance": distance, "angle_deg": 15.0}
-    return _beside(point, "keyframe", Keyframe, node, "matched")
+    return _beside(point, "keyframe", Keyframe, node, f"matched, {distance:g} m")
 
 
 def fixed_gap(point: Point, gap: float) -> Settings:
     whole = int(gap) if float(gap).is_integer() else gap
-    return _beside(point, "fixed_gap", FixedGap, {"gap": whole}, "matched")
+    return _beside(point, "fixed_gap", FixedGap, {"gap": whole}, f"matched, {whole:g}")
 
 
 def shifted_gap(point: Point, gaps: dict[str, Any]) -> Settings:
