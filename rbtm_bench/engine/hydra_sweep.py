@@ -212,7 +212,7 @@ def _points_with_controls(
     alike: dict[tuple[str, ...], Settings] = {}
     points = []
     for number, job in enumerate(jobs):
-        fixed = tuple(word for word in job if not word.startswith(ONE_VALUE))
+        fixed = tuple(word for word in job if not _is_one_value(word))
         if fixed not in alike:
             if len(alike) == MOST_ALIKE:
                 return [], f"more than {MOST_ALIKE} different jobs are not looked into"
@@ -223,10 +223,18 @@ def _points_with_controls(
     return points, ""
 
 
+def _is_one_value(word: str) -> bool:
+    """Whether a word is one of ``ONE_VALUE`` with a number."""
+    try:
+        return word.startswith(ONE_VALUE) and float(word.partition("=")[2]) is not None
+    except ValueError:  # ${point.threshold}
+        return False
+
+
 def _with_values(settings: Settings, job: list[str]) -> Settings:
     """Settings with the job's own values of ``ONE_VALUE``."""
     config = dict(settings.config)
-    for override in parsed([word for word in job if word.startswith(ONE_VALUE)]):
+    for override in parsed([word for word in job if _is_one_value(word)]):
         group, _, name = override.key_or_group.partition(".")
         config[group] = {**config[group], name: override.value()} if name else override.value()
     return replace(settings, config=config, overrides=tuple(job))

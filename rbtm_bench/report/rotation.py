@@ -46,7 +46,7 @@ class Rotation:
         if self.distinct < len(self.rotated):
             words += f" ({self.distinct} distinct)"
         return words + (
-            f" (best of {self.tries} settings, so p is too small)" if self.tries > 1 else ""
+            f" (best of {self.tries} settings: p is too small)" if self.tries > 1 else ""
         )
 
 

@@ -41,7 +41,12 @@ def test_ways_that_share_pairs_count_once() -> None:
 
 def test_windows_that_differ_may_hold_any_scan() -> None:
     every = by_hand(12, 11)
-    assert most("selector=keyframe", "guess=identity") == every
+    assert most("selector=keyframe", "guess=identity") == 11  # of one there is one a scan
+    assert most("selector=previous,keyframe", "selector.distance=0.3,0.4", GRID[-1]) == 11 + 2 * 11
+    assert most(*GRID, "selector.distance=0.3", "selector=oldest,keyframe") == 2 * (
+        by_hand(12, 6) + 11
+    )
+    assert most("selector=oldest", "selector.content=keyframes", GRID[-1]) == every
     assert most("selector=rbtm", "selector.window=3", "selector.fallback=skip", GRID[-1]) == every
     assert most("selector=rbtm,random_gap", "selector.window=3", GRID[-1]) == every
 
@@ -57,7 +62,7 @@ def test_what_follows_a_trajectory_is_unknown() -> None:
 def test_the_bound_holds_and_comes_first(tmp_path: Path, command: str) -> None:
     words = ("backend=open3d_p2p", "selector=rbtm", "selector.window=4,7", "guess=identity")
     grid = (*words, "selector.threshold=0.3,0.9", "dataset.scans=12", f"out={tmp_path / 'o'}")
-    code, _, err = call(command, *grid)
+    code, _, err = call(command, *grid, "controls=none")
     assert code == 0
     bound = by_hand(12, 6)
     assert err.splitlines()[0].startswith(f"4 runs, all new; at most {bound} distinct")
