@@ -54,7 +54,8 @@ def champion(rows: pd.DataFrame, key: str) -> pd.Series[Any] | None:
 
 def ranked(table: pd.DataFrame) -> pd.DataFrame:
     """The rows of every data set by their main error, the ``champion`` first and marked in
-    ``render.WINNER``; those without a number last. A table that is marked stays as it is."""
+    ``render.WINNER``; those without a number last. Controls that were added have a plus there. A
+    table that is marked stays as it is."""
     import pandas as pd
 
     if WINNER in table:
@@ -69,6 +70,8 @@ def ranked(table: pd.DataFrame) -> pd.DataFrame:
         if won is not None:
             rows = rows.loc[[won.name, *(i for i in rows.index if i != won.name)]]
         marks = ["*" if won is not None and i == won.name else "" for i in rows.index]
+        added = rows["control"].notna() if "control" in rows else [False] * len(rows)
+        marks = [mark + "+" * bool(control) for mark, control in zip(marks, added, strict=True)]
         parts.append(rows.assign(**{WINNER: marks}))
     return pd.concat(parts)[[WINNER, *table]] if parts else table
 

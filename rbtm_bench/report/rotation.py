@@ -45,9 +45,7 @@ class Rotation:
             words = f"{self.backend} {self.p:.2g}"
         if self.distinct < len(self.rotated):
             words += f" ({self.distinct} distinct)"
-        return words + (
-            f" (best of {self.tries} settings: p is too small)" if self.tries > 1 else ""
-        )
+        return words + (f" (best of {self.tries}: p too small)" if self.tries > 1 else "")
 
 
 def of_methods(group: Sequence[MethodRuns], key: str) -> list[Rotation]:

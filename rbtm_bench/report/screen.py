@@ -27,10 +27,10 @@ REASONS = 5
 """Reasons of failure that are listed at most."""
 
 CONTROLS = (
-    "control: not asked for (controls=none: without); matched to the mean reach of the best rbtm;\n"
-    "  rotated: its gaps at other times, the median over rotations"
+    "+: a control that was not asked for (controls=none: without); keyframe and fixed_gap matched "
+    "to\n  how far the best rbtm reaches, shifted_gap its gaps at other times: their median"
 )
-"""What the column says."""
+"""What the mark means."""
 
 LINES = tuple(sorted((c for c in COLUMNS if c.line), key=lambda c: c.plain_unit in ("", "scans")))
 """The numbers in the summary of a run: errors and time, then shares and counts."""
@@ -138,7 +138,7 @@ def _with_same(table: pd.DataFrame, columns: Sequence[str], keep: Sequence[str])
         )
     elif seeds > 1:
         lines.append(f"medians over the runs of a method that differ only in their seed ({seeds})")
-    if "control" in shown and shown["control"].notna().any():
+    if "control" in table and table["control"].notna().any():
         lines.append(CONTROLS)
     return lines
 

@@ -53,7 +53,7 @@ def test_windows_that_differ_may_hold_any_scan() -> None:
 
 def test_what_follows_a_trajectory_is_unknown() -> None:
     assert most("selector=previous") == "guess=constant_velocity follows each run's trajectory"
-    words = ("selector=previous", "guess=identity,odometry", "target=single,local_map")
+    words = ("selector=oldest", "guess=identity,odometry", "target=single,local_map")
     assert most(*words) == "target=local_map follows each run's trajectory"
     assert most("backend=kiss_icp_system") == 0  # a system
 
@@ -90,6 +90,6 @@ def test_what_is_resumed_is_counted_apart(tmp_path: Path, command: str) -> None:
 
 def test_a_large_sweep_is_not_composed() -> None:
     seeds = ",".join(map(str, range(MOST_COMPOSED)))
-    plan = SweepPlan.of([f"seed={seeds}", "selector.window=3,4"], ())
+    plan = SweepPlan.of([f"seed={seeds}", "selector.window=3,4", "controls=none"], ())
     assert plan.to_check(set())[1] == f"more than {MOST_COMPOSED} jobs are not looked into"
     assert len(plan.to_check({str(n) for n in range(2 * MOST_COMPOSED - 3)})[1]) == 3

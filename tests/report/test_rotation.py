@@ -34,7 +34,7 @@ def test_words_have_the_ratio_to_the_median_and_to_the_quartiles() -> None:
     words = Rotation("plicp", 10.0, (8.0, 16.0, 20.0, 40.0, 80.0), 5, 1).words()
     assert words == "plicp 0.33, 0.5 [0.25 - 0.625]"
     words = Rotation("plicp", 10.0, (8.0, 8.0, 20.0, 20.0, 20.0), 2, 3).words()
-    assert words == "plicp 0.5, 0.5 [0.5 - 1.25] (2 distinct) (best of 3 settings: p is too small)"
+    assert words == "plicp 0.5, 0.5 [0.5 - 1.25] (2 distinct) (best of 3: p too small)"
 
 
 def one(folder: Path, selector: str, error: float, name: str = "", **more: Any) -> None:
