@@ -21,7 +21,7 @@ METHOD = ("data", "backend", "selector", "window", "threshold", "settings")
 """The columns that say what was compared on what."""
 
 FIRST = (
-    *("run", "status", "dataset", *METHOD, "seed", "replicate", "scans"),
+    *("run", "status", "dataset", *METHOD, "control", "seed", "replicate", "scans"),
     *(column.name for column in COLUMNS if column.table and not column.cost),
     "seconds",
     *(column.name for column in COLUMNS if column.table and column.cost),
@@ -46,6 +46,7 @@ def row(run: Run, label: str = "", data: str = "") -> dict[str, Any]:
         "window": selector.get("window"),
         "threshold": selector.get("threshold"),
         "settings": label,
+        "control": (run.record.get("control") or {}).get("how"),
         "seed": run.record.get("seed"),
         "replicate": number_of(run),
         "scans": run.record.get("scans"),

@@ -111,6 +111,7 @@ class Shared(NamedTuple):
 SHARED = {
     "seed": Shared(Seed, Kind.SEED),
     "replicates": Shared(Annotated[int, Ge(1)], Kind.HOW),
+    "controls": Shared(Literal["auto", "none"], Kind.HOW),
     "replicate": Shared(Annotated[int, Ge(0)], Kind.SEED),
     "perturbation": Shared(Perturbation, Kind.WHAT),
     "perturb": Shared(Perturb, Kind.DATA),

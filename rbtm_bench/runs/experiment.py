@@ -49,7 +49,13 @@ from rbtm_bench.runs import evaluation, first_part, provenance, replicate
 from rbtm_bench.runs.claim import claimed, refuse_existing
 from rbtm_bench.runs.declared import PLUGIN_GROUPS
 from rbtm_bench.runs.pinning import pin_to_free_core
-from rbtm_bench.runs.plugins import foreign_modules, foreign_plugins, is_system, locate
+from rbtm_bench.runs.plugins import (
+    foreign_modules,
+    foreign_plugins,
+    is_system,
+    locate,
+    unfillable,
+)
 from rbtm_bench.runs.settings import Settings
 from rbtm_bench.runs.steps import write_steps
 from rbtm_bench.similarity.base import Similarity
@@ -252,6 +258,8 @@ def _check_selector(settings: Settings, dataset: Dataset) -> None:
             f"{name} needs a check, and check={choices.get('check')} accepts everything: "
             "expected one that can reject, such as check=gated"
         )
+    if too_few := unfillable(config):
+        raise ConfigError(f"{name} {too_few} that target={choices.get('target')} needs")
 
 
 def build(node: dict[str, Any]) -> Any:

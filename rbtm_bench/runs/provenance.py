@@ -41,6 +41,7 @@ def of_run(
         "overrides": list(settings.overrides),
         "special": {key: kind.name for key, kind in settings.special.items()},
         "idle": list(settings.idle),
+        "control": settings.control,
         "seed": settings.config["seed"],
         "determined": values,
         "replicate": None if dataset is None else _replicate(settings, dataset, values),

@@ -40,13 +40,15 @@ class Settings:
     """One run's settings, resolved: ``config`` is plain data, ``choices`` names the members of
     the groups (``{"backend": "open3d_p2p", ...}``), ``overrides`` are the words typed.
     ``special`` and ``idle`` are what ``identity`` has to know: the plug-ins' parameters that are a
-    seed or another run's folder, and what does nothing for the chosen plug-ins."""
+    seed or another run's folder, and what does nothing for the chosen plug-ins. ``control``: how
+    a grid came to this control by itself, and of which run (``controls``)."""
 
     config: dict[str, Any]
     choices: dict[str, str]
     overrides: tuple[str, ...] = ()
     special: dict[str, Kind] = field(default_factory=dict)
     idle: tuple[str, ...] = ()
+    control: dict[str, str] | None = None
 
     @property
     def identity(self) -> Identity:

@@ -15,6 +15,9 @@ class Target(ABC):
     """Builds the target of a registration, in the frame of the model scan."""
 
     requires: tuple[str, ...] = ()
+    needs_nodes: int = 1
+    """Past scans that a selector's window must be able to hold, the model scan included, for the
+    target to be what it says: refused with one that holds fewer."""
 
     @abstractmethod
     def build(self, model: int, window: Window, backend: Backend) -> Prepared:

@@ -20,6 +20,8 @@ class LocalMap(Target):
     backend's ``voxel_size``; its scans are thinned by that beforehand). The last map built is kept.
     """
 
+    needs_nodes = 2  # of fewer it is the model scan alone
+
     def __init__(
         self, neighbours: Annotated[int, Ge(1)] = 2, voxel_size: VoxelSize | None = None
     ) -> None:

@@ -77,8 +77,9 @@ def commands(data: Path) -> dict[str, list[str]]:
         ],
     }
     sweep = [*few, "backend=open3d_p2p", "selector=rbtm", "selector.window=4,10", beams]
-    folders = {name: ["compare", *words] for name, words in grids.items()}
-    return {**folders, "sweep": ["sweep", *sweep, "selector.threshold=0.5,0.7"]}
+    bare = "controls=none"
+    folders = {name: ["compare", *words, bare] for name, words in grids.items()}
+    return {**folders, "sweep": ["sweep", *sweep, "selector.threshold=0.5,0.7", bare]}
 
 
 def make(folder: Path) -> int:

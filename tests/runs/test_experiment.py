@@ -379,7 +379,7 @@ def test_same_settings_same_bits_serial_parallel_and_in_another_process(tmp_path
         done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
 
-    grid = ["backend=open3d_p2p,open3d_p2plane", "selector=rbtm,random_gap"]
+    grid = ["backend=open3d_p2p,open3d_p2plane", "selector=rbtm,random_gap", "controls=none"]
     call("compare", *grid, "selector.threshold=0.2", "out=serial", "--jobs", "1")
     call("compare", *grid, "selector.threshold=0.2", "out=parallel", "--jobs", "2")
     call("run", "backend=open3d_p2plane", "selector.threshold=0.2", "out=alone")
