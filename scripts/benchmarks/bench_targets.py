@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -45,17 +46,23 @@ TARGETS: dict[str, list[str]] = {
     "map": ["target=map"],
 }
 VGICP = [
-    *("backend=small_gicp_vgicp", "registration.voxel_size=0.25"),
-    *("backend.translation_epsilon=1e-3", "backend.rotation_epsilon=1.7453292519943296e-3"),
+    *("backend=small_gicp_vgicp", "backend.translation_epsilon=1e-3"),
+    "backend.rotation_epsilon=1.7453292519943296e-3",
 ]
-"""As in the library's own odometry, thinning and epsilons."""
+"""With the library's own epsilons."""
+THINNED = ("0.25", "0.5")
+"""m, the library's own thinning and the product's."""
 KISS = ["backend=kiss_icp", "backend.map_voxel_size=0.8", "registration.voxel_size=0"]
 """As the system has it: a hundredth of the range, no thinning but its own."""
 SPACE: dict[str, list[str]] = {
     "vgicp previous single": [*VGICP, "selector=previous"],
     "vgicp keyframe keyframes 10": [*VGICP, "selector=keyframe", "target=keyframes"],
-    "vgicp previous map": [*VGICP, "selector=previous", "target=map"],
-    "vgicp rbtm map": [*VGICP, "selector=rbtm", "selector.window=10", "target=map"],
+    **{
+        f"vgicp previous map, {leaf} m": [
+            *(*VGICP, "selector=previous", "target=map", f"registration.voxel_size={leaf}"),
+        ]
+        for leaf in THINNED
+    },
     "plane keyframe map": ["backend=open3d_p2plane", "selector=keyframe", "target=map"],
     "kiss_icp previous map": [*KISS, "selector=previous", "target=map"],
     "kiss_icp_system": ["backend=kiss_icp_system"],
@@ -90,7 +97,8 @@ def planar(data: Path) -> Iterator[tuple[str, str, list[str]]]:
 def space(place: str) -> Iterator[tuple[str, str, list[str]]]:
     """A simulated place."""
     data = ["dataset=simulated", f"dataset.place={place}"]
-    yield place, "library small_gicp map", data
+    for leaf in THINNED:
+        yield place, f"library small_gicp map, {leaf} m", data
     for way, words in SPACE.items():
         yield place, way, [*data, *words]
 
@@ -99,8 +107,9 @@ def row(data: str, way: str, words: Sequence[str]) -> None:
     """Run one way and print what it costs and where it ends."""
     parts = experiment.instantiate(compose_settings(list(words)))
     scans = list(parts.dataset)
-    run: Run = library
-    if not way.startswith("library"):
+    if way.startswith("library"):
+        run: Run = partial(library, float(way.split()[-2]))
+    else:
         ours(words)(scans[:3])  # compiles
         run = ours(words)
     started = time.process_time()
@@ -143,15 +152,16 @@ def relations_error(parts: experiment.Parts, scans: Sequence[Scan], poses: list[
     return float(translation_norm(off))
 
 
-def library(scans: Sequence[Scan]) -> tuple[list[Array], list[StepRecord]]:
-    """small_gicp's own odometry by example: thin, covariances, align to a running voxel map."""
+def library(leaf: float, scans: Sequence[Scan]) -> tuple[list[Array], list[StepRecord]]:
+    """small_gicp's own odometry by example: thin to ``leaf`` m, covariances, align to a running
+    voxel map."""
     import small_gicp
 
     voxels = small_gicp.GaussianVoxelMap(1.0)
     voxels.set_lru(horizon=100, clear_cycle=10)
     poses: list[Array] = []
     for scan in scans:
-        cloud, _ = small_gicp.preprocess_points(scan.points, 0.25, 10, 1)
+        cloud, _ = small_gicp.preprocess_points(scan.points, leaf, 10, 1)
         if not poses:
             poses.append(np.eye(4))
         else:
