@@ -103,6 +103,9 @@ def _ready(part: Sequence[Scan], work: Work) -> Iterator[Ready]:
         for scan in part:
             method.selector.see(scan)
     part = [scan.without_truth() for scan in part]
+    if method.selector.needs_scans:
+        for scan in part:
+            method.selector.see(scan)
     descriptors, seconds = None, 0.0
     if method.selector.needs_scores:
         descriptors, seconds = work.describe(part)

@@ -130,6 +130,8 @@ class Selector(ABC):
     needs_truth: bool = False
     """True for what is no method but a bound: ``see`` is then given every scan with its ground
     truth, which nothing else in the loop ever sees. Its results must say so in their reason."""
+    needs_scans: bool = False
+    """True: ``see`` is given every scan, without its ground truth."""
     needs_check: bool = False
     """True: refused together with a check that accepts everything."""
     tries_all: bool = False
@@ -164,8 +166,8 @@ class Selector(ABC):
         NaN if ``needs_scores`` is False). W >= 1.
         """
 
-    def see(self, scan: Scan) -> None:  # noqa: B027 (only with needs_truth)
-        """Every scan with its ground truth, before it is selected for; see ``needs_truth``."""
+    def see(self, scan: Scan) -> None:  # noqa: B027 (only with needs_truth or needs_scans)
+        """Every scan before it is selected for, with its ground truth only if ``needs_truth``."""
 
     def choose(self, scan: int, window: Window, scores: Array) -> Selection:
         """What the loop calls: ``select`` with the window's numbers. A strategy that looks at the

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
 from rbtm_bench.core.types import Node
+
+
+class KeyframeRule(Protocol):
+    """Which scans a window keeps."""
+
+    def is_new(self, members: list[Node], node: Node) -> bool:
+        """Whether a scan is kept beside the members (W >= 1), oldest first. Asked once a scan."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -20,8 +28,8 @@ class Keyframes:
     distance: float
     angle_deg: float
 
-    def is_new(self, last: Node, node: Node) -> bool:
-        T = inverse(last.T_world_scan) @ node.T_world_scan
+    def is_new(self, members: list[Node], node: Node) -> bool:
+        T = inverse(members[-1].T_world_scan) @ node.T_world_scan
         moved = float(translation_norm(T)) >= self.distance
         return moved or float(rotation_angle(T)) >= np.radians(self.angle_deg)
 
@@ -33,7 +41,7 @@ class Window:
     always one contiguous slice and moving on costs nothing most of the time.
     """
 
-    def __init__(self, capacity: int, keyframes: Keyframes | None = None) -> None:
+    def __init__(self, capacity: int, keyframes: KeyframeRule | None = None) -> None:
         if capacity < 1:
             raise ValueError(f"window capacity {capacity}: expected at least 1")
         self.capacity = capacity
@@ -79,7 +87,7 @@ class Window:
         """Add a scan, newest last; the oldest goes when the window is full. ``always``: even one
         that is no keyframe."""
         rule = None if always or not self.nodes else self.keyframes
-        if rule is not None and not rule.is_new(self.nodes[-1], node):
+        if rule is not None and not rule.is_new(self.nodes, node):
             return
         self.nodes.append(node)
         self._by_scan[node.scan] = node
