@@ -177,7 +177,7 @@ def _register(
     record.t_select_s += time.perf_counter() - started
     chosen = accepted[which]
     rows.fill(record, chosen, reason, work.method.guess_along_degenerate)
-    return _edge(chosen.model, scan, chosen.result, selector)
+    return _edge(chosen.model, scan, chosen.result, work.method)
 
 
 def _attempt(
@@ -279,16 +279,16 @@ def _predict(scan: Scan, recent: Sequence[Node], work: Work) -> Edge:
     """The motion since the previous scan as the guess has it: no measurement behind it."""
     T = work.predict(recent[-1], scan, recent)
     covariance = None
-    if work.method.selector.covariance_from is not None:
+    if work.method.covariance_from is not None:
         covariance = edge_covariance(None, scan.planar)
     return Edge(recent[-1].scan, scan.index, T, kind="predicted", covariance=covariance)
 
 
-def _edge(model: Node, scan: Scan, result: RegistrationResult, selector: Selector) -> Edge:
+def _edge(model: Node, scan: Scan, result: RegistrationResult, method: Method) -> Edge:
     """The measured motion between two scans."""
     covariance = None
-    if selector.covariance_from is not None:
-        covariance = edge_covariance(result, scan.planar, selector.covariance_from)
+    if method.covariance_from is not None:
+        covariance = edge_covariance(result, scan.planar, method.covariance_from)
     T, information = result.T_target_source, result.information
     return Edge(model.scan, scan.index, T, information, covariance=covariance)
 

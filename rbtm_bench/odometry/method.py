@@ -11,6 +11,7 @@ import numpy as np
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.check.base import Check
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
+from rbtm_bench.core.uncertainty import InformationFrom
 from rbtm_bench.guess.base import Guess
 from rbtm_bench.odometry import checked, judge
 from rbtm_bench.selection.base import Selector
@@ -34,6 +35,13 @@ class Method:
     """Keep the guess along directions of less localizability than this; None: never."""
     judge_points: int = judge.MAX_POINTS
     """Points of a cloud in space that a registration is judged by, at most."""
+    edges_from: InformationFrom | None = None
+    """Where the covariance of edges comes from though no selector asks; None: nobody needs it."""
+
+    @property
+    def covariance_from(self) -> InformationFrom | None:
+        """Where the covariance of edges comes from; None: nobody needs it."""
+        return self.selector.covariance_from or self.edges_from
 
 
 def band_of(method: Method) -> Band | None:

@@ -9,7 +9,16 @@ from typing_extensions import TypedDict
 
 from rbtm_bench.core.kinds import Kind, Seed
 
-PLUGIN_GROUPS = ("dataset", "backend", "similarity", "selector", "guess", "check", "target")
+PLUGIN_GROUPS = (
+    "dataset",
+    "backend",
+    "similarity",
+    "selector",
+    "guess",
+    "check",
+    "target",
+    "loops",
+)
 GROUPS = (*PLUGIN_GROUPS, "metrics")
 FOR_PAIRS = (
     "similarity",
@@ -17,6 +26,7 @@ FOR_PAIRS = (
     "guess",
     "check",
     "target",
+    "loops",
     "guess_along_degenerate",
     "judge_points",
 )

@@ -62,6 +62,7 @@ class Workbench:
         metrics = experiment.build_metrics(config)
         if is_system(config):  # it remembers, so nothing of it can be shared but the scans
             return experiment.Parts(dataset, experiment.build(config["backend"]), metrics)
+        loops = experiment.build(config["loops"])
         plain = {g: experiment.build(config[g]) for g in ("selector", "check", "target")}
         judged = [config["backend"], config["judge_points"]]
         known = self._once("backend", judged, lambda: self._backend(config, dataset))
@@ -76,6 +77,7 @@ class Workbench:
             guess=guess,
             guess_along_degenerate=config["guess_along_degenerate"],
             judge_points=config["judge_points"],
+            edges_from=loops.covariance_from,
             **plain,
         )
         guesses = None
@@ -85,7 +87,7 @@ class Workbench:
         work: Work = SharedWork(method, known, self._scores(config, method, dataset), guesses)
         if self._watch is not None:
             work = WatchedWork(work, self._watch)
-        return experiment.Parts(dataset, method, metrics, work)
+        return experiment.Parts(dataset, method, metrics, work, loops)
 
     def flush(self) -> None:
         """Let other processes see what this one has computed."""

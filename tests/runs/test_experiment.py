@@ -24,7 +24,7 @@ from rbtm_bench.metrics.kitti import KittiErrors
 from rbtm_bench.metrics.relations import RelationError
 from rbtm_bench.metrics.rpe import Rpe
 from rbtm_bench.metrics.summary import COLUMNS
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import experiment, pictures
 from rbtm_bench.runs.claim import refuse_existing
 from rbtm_bench.runs.evaluation import COMMON
 from rbtm_bench.runs.settings import Settings, compose_settings
@@ -218,8 +218,8 @@ def test_map_and_similarity(done: Path) -> None:
 
 def test_similarity_picture_of_a_long_run_is_thinned() -> None:
     dataset = Corridor(scans=400, beams=61)
-    scans, scores = experiment.similarity_matrix(dataset, CurvatureCircular(half_span_deg=8.0))
-    assert len(scans) == experiment.SIMILARITY_PICTURE
+    scans, scores = pictures.similarity_matrix(dataset, CurvatureCircular(half_span_deg=8.0))
+    assert len(scans) == pictures.SIMILARITY_PICTURE
     assert (scans[0], scans[-1]) == (0, 399) and (np.diff(scans) > 0).all()
     assert scores.shape == (len(scans), len(scans))
 

@@ -1,0 +1,58 @@
+"""Candidates by position: where the path comes near itself, as far as it can tell."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge, Gt
+from scipy.spatial import cKDTree
+
+from rbtm_bench.core.geometry import inverse, rotation_angle
+from rbtm_bench.core.kinds import Distance
+from rbtm_bench.core.types import Array
+from rbtm_bench.loops.closing import GraphLoops
+from rbtm_bench.loops.track import Track
+from rbtm_bench.loops.verify import Limits, Pair
+
+METRES_PER_RAD = 1.0
+"""A turn between two keyframes counts as so much distance: most sensors look one way."""
+
+
+class PositionLoops(GraphLoops):
+    """For every keyframe the nearest of the older ones that are no farther than the drift allows:
+    ``radius_m`` and ``drift`` times the path between the two, at most ``most_m``; after the first
+    round, when loops have taken the drift away, ``radius_m`` alone. Other parameters as in
+    ``GraphLoops``."""
+
+    def __init__(
+        self,
+        radius_m: Distance = 2.0,
+        drift: Annotated[float, Ge(0)] = 0.03,
+        most_m: Annotated[float, Gt(0)] = 8.0,
+        keyframe_distance: Distance = 0.5,
+        keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
+        apart_m: Annotated[float, Gt(0)] = 10.0,
+        phi: Annotated[float, Gt(0)] = 5.0,
+        rounds: Annotated[int, Ge(1)] = 2,
+        verify: Limits | None = None,
+    ) -> None:
+        super().__init__(keyframe_distance, keyframe_angle_deg, apart_m, phi, rounds, verify)
+        self.radius_m, self.drift, self.most_m = radius_m, drift, most_m
+
+    def pairs(self, track: Track, T_world_scan: Array, done: int) -> list[Pair]:
+        positions = T_world_scan[:, :3, 3]
+        reach = self.most_m if done == 0 else self.radius_m
+        pairs = []
+        for scan, near in enumerate(cKDTree(positions).query_ball_point(positions, reach)):
+            models = np.array(near, dtype=np.int64)
+            path = track.path[scan] - track.path[models]
+            distance = np.linalg.norm(positions[models] - positions[scan], axis=1)
+            allowed = np.minimum(reach, self.radius_m + self.drift * path)
+            inside = (path > self.apart_m) & (distance <= allowed)
+            if inside.any():
+                models, distance = models[inside], distance[inside]
+                turn = rotation_angle(inverse(T_world_scan[models]) @ T_world_scan[scan])
+                order = np.lexsort((models, distance + METRES_PER_RAD * turn))
+                pairs.append(Pair(int(models[order[0]]), scan))
+        return pairs
