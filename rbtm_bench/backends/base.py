@@ -91,7 +91,8 @@ class Alignment:
 
     ``information`` is the (6, 6) information of a small motion d = (x, y, z, rx, ry, rz) in m and
     rad of the source in its own frame, T_target_source exp(d), in 1/m^2, 1/rad^2 and between.
-    ``seconds`` is the method's own time, measured around ``align``.
+    ``seconds`` is the method's own time, measured around ``align``; ``search_*`` say what a search
+    before the method cost and gave (``search.base``).
     """
 
     T_target_source: Array
@@ -101,6 +102,9 @@ class Alignment:
     library_fitness: float | None = None
     library_rmse: float | None = None
     seconds: float = 0.0
+    search_seconds: float | None = None
+    search_score: float | None = None
+    search_peak_ratio: float | None = None
 
 
 class Backend(ABC):
@@ -208,6 +212,9 @@ def checked_alignment(
         _number_or_none(alignment.library_fitness),
         _number_or_none(alignment.library_rmse),
         alignment.seconds if seconds is None else seconds,
+        _number_or_none(alignment.search_seconds),
+        _number_or_none(alignment.search_score),
+        _number_or_none(alignment.search_peak_ratio),
     )
 
 

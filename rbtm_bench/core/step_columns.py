@@ -41,6 +41,13 @@ STEPS = (
     StepColumn("iterations", "int", "count", "of the library, where it says"),
     StepColumn("library_fitness", "float", "share", "the library's own fitness"),
     StepColumn("library_rmse_m", "float", "m", "the library's own RMSE"),
+    StepColumn("search_score", "float", "share", "mean likelihood where the search ended"),
+    StepColumn(
+        "search_peak_ratio",
+        "float",
+        "share",
+        "its second peak's score, of the best's; NaN: unasked",
+    ),
     StepColumn("localizability_min", "float", "share", "smallest eigenvalue of localizability"),
     StepColumn("localizability", "list", "share", "its eigenvalues, smallest first"),
     StepColumn(
@@ -62,6 +69,7 @@ STEPS = (
     StepColumn("t_guess_s", "float", "s", "what the guess registers itself", 0.0),
     StepColumn("t_select_s", "float", "s", "scores and selection", 0.0),
     StepColumn("t_register_s", "float", "s", "the backend's registrations", 0.0),
+    StepColumn("t_search_s", "float", "s", "of that the search before the one believed"),
     StepColumn("t_check_s", "float", "s", "judging and checking", 0.0),
 )
 """The columns of steps.parquet, a row a scan."""

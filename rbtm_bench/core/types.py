@@ -136,6 +136,10 @@ class RegistrationResult:
     library_fitness: float | None = None
     library_rmse: float | None = None
     localizability: Localizability | None = None
+    search_seconds: float | None = None
+    """What the search before the method took, part of ``seconds``; None without one."""
+    search_score: float | None = None
+    search_peak_ratio: float | None = None
     reused: bool = False
     """Not computed now but taken from memory or the pair store; ``seconds`` is what it took."""
 

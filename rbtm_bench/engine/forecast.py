@@ -42,7 +42,7 @@ def registrations_at_most(points: Sequence[Point], scans: dict[str, int]) -> int
         data = node_key(config["dataset"])
         if data not in scans:
             return "not every data set was opened"
-        way = (data, node_key(config["backend"], config["guess"]))
+        way = (data, node_key(experiment.backend_node(config), config["guess"]))
         widest[way] = max(widest.get(way, 0.0), _reach(config["selector"]))
         extra[way] = bool(getattr(guess, "needs_backend", False))  # it registers neighbours too
     count = 0

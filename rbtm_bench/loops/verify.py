@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
@@ -10,22 +9,20 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from rbtm_bench.backends.base import Prepared
+from rbtm_bench.backends.correlative import CorrelativeMatcher
 from rbtm_bench.core.errors import BackendError
-from rbtm_bench.core.geometry import inverse
+from rbtm_bench.core.geometry import inverse, se2
 from rbtm_bench.core.kinds import ShareThreshold
 from rbtm_bench.core.types import Array, RegistrationResult
 from rbtm_bench.core.uncertainty import InformationFrom, edge_covariance
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.graph.motions import small
 from rbtm_bench.loops.track import Track, inflated
-from rbtm_bench.odometry import judge
 from rbtm_bench.odometry.method import Work
 from rbtm_bench.pairs.shared import NATIVE_SHARE, Bounded
 
-STEP_DEG = 5.0
-"""Between the rotations of a search; its steps in m are the backend's correspondence distance."""
-SEARCH_POINTS = 500
-"""Points of a cloud in space that a place of the search is judged by, at most."""
+CELL, BLUR = 0.05, 0.1
+"""m: a search's step, and the standard deviation of the likelihood that it looks at."""
 REACH = 3.0
 """Sigmas of the path that a search goes, within its bounds."""
 MEMORY = 200e6
@@ -75,6 +72,7 @@ class Verifier:
         self._limits, self._track, self._dataset, self._work = limits, track, dataset, work
         self._prepared: Bounded[Prepared] = Bounded(MEMORY / 2)
         self._targets: Bounded[Prepared] = Bounded(MEMORY / 2)
+        self._matcher = CorrelativeMatcher(CELL, BLUR) if track.planar else None
         self.reused_seconds = 0.0
 
     def verified(self, pair: Pair, T_guess: Array) -> Loop | str:
@@ -130,32 +128,15 @@ class Verifier:
     def _searched(
         self, source: Prepared, target: Prepared, T_guess: Array, covariance: Array
     ) -> Array:
-        """The pose of the best fit on a lattice around the guess, as far as the path may be off;
-        of equals the nearest. A search of its own (``search=``) would stand here."""
-        radius = self._work.method.backend.max_correspondence_distance
-        most = SEARCH_POINTS
-        best, fitness = T_guess, -1.0
-        for T in self._lattice(T_guess, covariance, radius):
-            now = judge.evaluate(source, target, T, radius, most).fitness
-            if now > fitness:
-                best, fitness = T, now
-        return best
-
-    def _lattice(self, T_guess: Array, covariance: Array, step: float) -> Iterator[Array]:
-        """Poses around a guess in its plane z, nearest first."""
+        """The likeliest motion around the guess, as far as the path may be off; in space, where
+        there is no search, the guess."""
+        if self._matcher is None:
+            return T_guess
         std = np.sqrt(np.diag(covariance))
         metres = min(self._limits.search_m, REACH * float(std[:2].max()))
-        degrees = min(self._limits.search_deg, REACH * float(np.degrees(std[5])))
-        shift = step * np.arange(-int(metres / step), int(metres / step) + 1)
-        turn = STEP_DEG * np.arange(-int(degrees / STEP_DEG), int(degrees / STEP_DEG) + 1)
-        x, y, rz = (axis.ravel() for axis in np.meshgrid(shift, shift, turn, indexing="ij"))
-        apart = np.maximum(np.hypot(x, y) / step, np.abs(rz) / STEP_DEG)
-        for i in np.argsort(apart, kind="stable").tolist():
-            c, s = np.cos(np.radians(rz[i])), np.sin(np.radians(rz[i]))
-            T = T_guess.copy()
-            T[:3, :3] = T_guess[:3, :3] @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-            T[:2, 3] += x[i], y[i]
-            yield T
+        turn = min(np.radians(self._limits.search_deg), REACH * float(std[5]))
+        peak = self._matcher.match(source, target, T_guess, metres, turn)
+        return se2(*peak.pose) if peak.score > 0.0 else T_guess
 
     def _registered(self, source: Prepared, target: Prepared, T: Array) -> RegistrationResult:
         result = self._work.register(source, target, T)

@@ -36,7 +36,8 @@ def _is_ours(kind: type) -> bool:
 def prepared(backend: Backend, scan: Scan) -> Prepared:
     """The backend's prepared scan: of this scan and no other."""
     given: Any = backend.prepare(scan)
-    if _is_ours(type(backend)):
+    plugin: Backend = getattr(backend, "wrapped", backend)  # behind a search
+    if _is_ours(type(plugin)):
         return given
     _require_prepared(given, f"{type(backend).__name__}.prepare")
     if given.key not in ((), ((scan.index, None),)):

@@ -80,6 +80,9 @@ def judged(
         library_fitness=alignment.library_fitness,
         library_rmse=alignment.library_rmse,
         localizability=evaluation.localizability,
+        search_seconds=alignment.search_seconds,
+        search_score=alignment.search_score,
+        search_peak_ratio=alignment.search_peak_ratio,
     )
 
 

@@ -23,6 +23,8 @@ def fill(record: StepRecord, chosen: Trial, reason: str, threshold: float | None
     record.fitness, record.inlier_rmse_m = result.fitness, result.inlier_rmse
     record.iterations, record.reused = result.iterations, result.reused
     record.library_fitness, record.library_rmse_m = result.library_fitness, result.library_rmse
+    record.t_search_s, record.search_score = result.search_seconds, result.search_score
+    record.search_peak_ratio = result.search_peak_ratio
     if threshold is not None:
         record.kept_guess = unseen(result, threshold)
     if result.information is not None:

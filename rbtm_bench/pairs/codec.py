@@ -97,6 +97,7 @@ _RESULT, _ERROR = 0, 1
 _CONVERGED_GIVEN, _CONVERGED, _ITERATIONS, _FITNESS, _RMSE, _INFORMATION = 1, 2, 4, 8, 16, 32
 _T_COLUMNS, _INFORMATION_COLUMNS = 64, 128  # memory order: BLAS may round differently
 _PLANE, _SPACE, _LOCALIZABILITY_COLUMNS = 256, 512, 1024
+_SEARCHED = 2048
 
 
 def pack(key: bytes, outcome: RegistrationResult | BackendError) -> bytes:
@@ -126,6 +127,9 @@ def pack(key: bytes, outcome: RegistrationResult | BackendError) -> bytes:
         arrays += struct.pack("<d", r.localizability.lever) + more
         flags |= _PLANE if side == 3 else _SPACE
         flags |= _LOCALIZABILITY_COLUMNS if by_columns else 0
+    if r.search_seconds is not None:
+        arrays += struct.pack("<3d", r.search_seconds, r.search_score, r.search_peak_ratio)
+        flags |= _SEARCHED
     library = [0.0 if x is None else x for x in (r.library_fitness, r.library_rmse)]
     floats = r.fitness, r.inlier_rmse, r.seconds, *library
     payload = _HEAD.pack(_RESULT, flags, r.inliers, r.iterations or 0, *floats) + arrays
@@ -147,6 +151,7 @@ def unpack(key: bytes, blob: object) -> RegistrationResult | BackendError:
         side = 3 if flags & _PLANE else 6
         matrix = _matrix(rest[1:], side, flags & _LOCALIZABILITY_COLUMNS)
         localizability = Localizability(matrix, float(rest[0]))
+    searched = floats[-3:].tolist() if flags & _SEARCHED else [None] * 3
     return RegistrationResult(
         T_target_source=T,
         converged=bool(flags & _CONVERGED) if flags & _CONVERGED_GIVEN else None,
@@ -159,6 +164,9 @@ def unpack(key: bytes, blob: object) -> RegistrationResult | BackendError:
         library_fitness=library[0] if flags & _FITNESS else None,
         library_rmse=library[1] if flags & _RMSE else None,
         localizability=localizability,
+        search_seconds=searched[0],
+        search_score=searched[1],
+        search_peak_ratio=searched[2],
     )
 
 

@@ -11,7 +11,7 @@ from rbtm_bench.runs.stored import Run
 
 SAME = ("dataset", "backend")
 """What two runs that are compared must share."""
-BETTER_SAME = ("guess", "check", "target")
+BETTER_SAME = ("guess", "search", "check", "target")
 """What they should share as well; where none do, the figure names the difference."""
 
 

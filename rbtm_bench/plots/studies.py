@@ -106,7 +106,7 @@ def _axes(runs: Sequence[Run]) -> tuple[str, ...]:
 def _base_names(runs: Sequence[Run]) -> dict[Run, str]:
     """The backend, and what else but selector and similarity tells the runs apart."""
     settings = labels.varying(runs, "backend")
-    others = labels.distinctions(runs, ("guess", "check", "target"))
+    others = labels.distinctions(runs, ("guess", "search", "check", "target"))
     return {
         run: ", ".join([labels.choice(run, "backend"), *settings[run], *others[run]])
         for run in runs

@@ -56,7 +56,7 @@ def row(run: Run, label: str = "", data: str = "") -> dict[str, Any]:
     return ordered
 
 
-LABELLED = ("similarity", "guess", "check", "target", "loops", "metrics", "backend", "")
+LABELLED = ("similarity", "guess", "search", "check", "target", "loops", "metrics", "backend", "")
 """The groups whose differences a label names, beside the selector's; "": settings outside all."""
 COLUMNED = ("selector.window", "selector.threshold")
 """Settings that have columns of their own."""

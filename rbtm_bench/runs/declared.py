@@ -15,15 +15,19 @@ PLUGIN_GROUPS = (
     "similarity",
     "selector",
     "guess",
+    "search",
     "check",
     "target",
     "loops",
 )
 GROUPS = (*PLUGIN_GROUPS, "metrics")
+ADDED = {"search": "none", "loops": "none"}
+"""Groups that older runs do not name, with the member that does what was done before."""
 FOR_PAIRS = (
     "similarity",
     "selector",
     "guess",
+    "search",
     "check",
     "target",
     "loops",

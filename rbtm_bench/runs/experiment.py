@@ -21,6 +21,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from rbtm_bench.backends.base import Backend
 from rbtm_bench.backends.system import System
 from rbtm_bench.core.errors import (
     ConfigError,
@@ -63,6 +64,11 @@ UNSHARED_BYTES = 150e6
 """Remembered of what foreign plug-ins were handed, where no workbench sets its own bound."""
 TRACE = 20_000
 """Characters of a traceback that are kept: an error's own words may fill a disk."""
+REGISTERING = ("backend", "search")
+"""The groups that are one backend to the loop."""
+APART = ("dataset", *REGISTERING, "loops")
+"""The groups that are no part of what the loop itself asks for."""
+
 
 BLOCK = 256
 """Scans that a run reads ahead."""
@@ -164,13 +170,27 @@ def instantiate(settings: Settings) -> Parts:
         return Parts(dataset, build(config["backend"]), build_metrics(config))
     loops: Loops = build(config["loops"])
     method = Method(
-        **{g: build(config[g]) for g in PLUGIN_GROUPS if g not in ("dataset", "loops")},
+        backend=build_backend(config),
+        **{g: build(config[g]) for g in PLUGIN_GROUPS if g not in APART},
         guess_along_degenerate=config["guess_along_degenerate"],
         judge_points=config["judge_points"],
         edges_from=loops.covariance_from,
     )
     work = None if watch is None else WatchedWork(Work(method), watch)
     return Parts(dataset, method, build_metrics(config), work, loops)
+
+
+def build_backend(config: dict[str, Any]) -> Backend:
+    """The backend of resolved settings, behind their search."""
+    backend: Backend = build(config["search"]).before(build(config["backend"]))
+    return backend
+
+
+def backend_node(config: dict[str, Any]) -> dict[str, Any]:
+    """What tells the registrations of ``build_backend`` from others: with a search both nodes."""
+    search = locate("search", config["search"]["_target_"])
+    node: dict[str, Any] = config["backend"]
+    return {g: config[g] for g in REGISTERING} if getattr(search, "searches", True) else node
 
 
 def build_metrics(config: dict[str, Any]) -> tuple[Metric, ...]:
@@ -184,14 +204,15 @@ def check_fit(settings: Settings, dataset: Dataset) -> None:
     Loads no backend library: only a backend's class is looked at.
     """
     config = settings.config
-    backend = locate("backend", config["backend"]["_target_"])
-    dimensions = getattr(backend, "dimensions", ("2d", "3d"))  # a factory function has none
     needed = "2d" if dataset.planar else "3d"
-    if needed not in dimensions:
-        raise ConfigError(
-            f"backend={settings.choices.get('backend')} is for {', '.join(dimensions)} only; "
-            f"this data set is {needed}"
-        )
+    for group in REGISTERING[:1] if is_system(config) else REGISTERING:
+        plugin = locate(group, config[group]["_target_"])
+        dimensions = getattr(plugin, "dimensions", ("2d", "3d"))  # a factory function has none
+        if needed not in dimensions:
+            raise ConfigError(
+                f"{group}={settings.choices.get(group)} is for {', '.join(dimensions)} only; "
+                f"this data set is {needed}"
+            )
     if is_system(config):
         return
     build(config["guess"]).check(dataset)

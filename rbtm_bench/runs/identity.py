@@ -17,6 +17,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from rbtm_bench.core.kinds import Kind
 from rbtm_bench.runs.declared import (
+    ADDED,
     FOR_PAIRS,
     GROUPS,
     PERTURB,
@@ -65,7 +66,7 @@ class Identity:
             seeds |= {"replicate": [config["replicate"], config.get("seed")]}
         if any(key.startswith("perturb.") for key in parts[Kind.DATA]):
             seeds |= {"perturb": config.get("seed")}
-        kept = {group: name for group, name in choices.items() if group not in idle}
+        kept = {g: name for g, name in choices.items() if g not in idle and ADDED.get(g) != name}
         return cls(parts[Kind.WHAT], parts[Kind.DATA], {**seeds, **folders}, kept)
 
     @cached_property
@@ -143,9 +144,9 @@ def special_settings(composed: DictConfig, config: Mapping[str, Any]) -> dict[st
 def idle_settings(config: Mapping[str, Any]) -> tuple[str, ...]:
     """The groups and settings that do nothing for the chosen plug-ins.
 
-    A similarity of which neither selector nor loops need scores, loops that are off (so that runs
-    from before there were any are what they were), and what a plug-in's ``idle_settings``
-    (setting -> (other setting, value)) declares: idle where the other has that value.
+    A similarity of which neither selector nor loops need scores, and what a plug-in's
+    ``idle_settings`` (setting -> (other setting, value)) declares: idle where the other has that
+    value.
     """
     if is_system(config):
         return FOR_PAIRS
@@ -158,8 +159,6 @@ def idle_settings(config: Mapping[str, Any]) -> tuple[str, ...]:
             continue
         if group in ("selector", "loops"):
             needs_scores = needs_scores or getattr(made, "needs_scores", group == "selector")
-        if group == "loops" and getattr(made, "is_off", False):
-            idle.append("loops")
         for key, (other, value) in getattr(made, "idle_settings", {}).items():
             if node.get(other) == value:
                 idle.append(f"{group}.{key}")

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
-from rbtm_bench.backends.base import Backend, Prepared
+from rbtm_bench.backends.base import Prepared
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Array, RegistrationResult
 from rbtm_bench.datasets.base import Dataset
@@ -64,12 +64,12 @@ class Workbench:
             return experiment.Parts(dataset, experiment.build(config["backend"]), metrics)
         loops = experiment.build(config["loops"])
         plain = {g: experiment.build(config[g]) for g in ("selector", "check", "target")}
-        judged = [config["backend"], config["judge_points"]]
+        judged = [experiment.backend_node(config), config["judge_points"]]
         known = self._once("backend", judged, lambda: self._backend(config, dataset))
         guess_node = [config["guess"]]
         guess = experiment.build(config["guess"])
         if guess.pure:
-            guess_node += [config["backend"]] if guess.needs_backend else []
+            guess_node += [experiment.backend_node(config)] if guess.needs_backend else []
             guess = self._once("guess", guess_node, lambda: guess)
         method = Method(
             backend=known.backend,
@@ -130,12 +130,12 @@ class Workbench:
         return self._plain[1]
 
     def _backend(self, config: dict[str, Any], dataset: SharedDataset) -> KnownRegistrations:
-        backend: Backend = experiment.build(config["backend"])
+        backend, node = experiment.build_backend(config), experiment.backend_node(config)
         most = config["judge_points"]
         versions = versions_of(backend.requires)
-        facts = dataset.fingerprint(), config["backend"], versions, most
+        facts = dataset.fingerprint(), node, versions, most
         # what else is at work in this process may have changed anything: its own pairs alone
-        beside = sorted(foreign_modules(config) - foreign_modules(config["backend"]))
+        beside = sorted(foreign_modules(config) - foreign_modules(node))
         common, own = context(*facts), context(*facts, *beside) if beside else None
         # several backends take turns on one data set: the bound is for all of them
         others = [one for one in self._shared.values() if isinstance(one, KnownRegistrations)]

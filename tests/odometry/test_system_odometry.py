@@ -163,7 +163,16 @@ def test_planar_scans_stay_in_the_plane(monkeypatch: pytest.MonkeyPatch) -> None
 
 def test_settings_hold_nothing_that_does_nothing() -> None:
     settings = compose_settings(["backend=kiss_icp_system", "selector=rbtm"])
-    gone = {"selector", "similarity", "guess", "check", "target", "registration", "descriptor"}
+    gone = {
+        "selector",
+        "similarity",
+        "guess",
+        "search",
+        "check",
+        "target",
+        "registration",
+        "descriptor",
+    }
     assert not gone & settings.config.keys() and "metrics" in settings.config
     assert settings.choices["selector"] == "none" and settings.choices["dataset"] == "corridor"
 

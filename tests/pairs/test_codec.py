@@ -41,7 +41,7 @@ def matrices(side: int) -> st.SearchStrategy[np.ndarray]:
     return by_rows | by_rows.map(np.asfortranarray)
 
 
-RESULTS = st.builds(
+PLAIN = st.builds(
     RegistrationResult,
     T_target_source=matrices(4),
     converged=st.none() | st.booleans(),
@@ -55,6 +55,12 @@ RESULTS = st.builds(
     library_rmse=st.none() | FLOATS,
     localizability=st.none() | st.builds(Localizability, matrices(3) | matrices(6), FLOATS),
 )
+SEARCHED = st.tuples(PLAIN, FLOATS, FLOATS, FLOATS).map(
+    lambda one: dataclasses.replace(
+        one[0], search_seconds=one[1], search_score=one[2], search_peak_ratio=one[3]
+    )
+)
+RESULTS = PLAIN | SEARCHED
 ERRORS = st.text().map(BackendError)
 
 
@@ -89,7 +95,7 @@ def test_every_field_of_a_result_is_kept() -> None:
     assert names == [
         *("T_target_source", "converged", "fitness", "inlier_rmse", "inliers", "iterations"),
         *("seconds", "information", "library_fitness", "library_rmse"),
-        "localizability",
+        *("localizability", "search_seconds", "search_score", "search_peak_ratio"),
     ]
 
 

@@ -1,0 +1,112 @@
+"""A search before a backend: where it starts, what it records, and what it shares."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from sweep_helpers import call, script
+
+from rbtm_bench.backends.plicp import PointToLineICP
+from rbtm_bench.contract.scene import planar_scan
+from rbtm_bench.core.geometry import inverse, rotation_angle, se2, translation_norm, yaw
+from rbtm_bench.odometry import judge
+from rbtm_bench.runs import experiment, settings
+from rbtm_bench.search.base import SearchedBackend
+from rbtm_bench.search.correlative import CorrelativeSearch
+from rbtm_bench.search.none import NoSearch
+
+START, T = se2(0.3, -0.2, 0.2), se2(0.7, 0.5, 0.5)
+SMALL = ("dataset.scans=14", "selector=keyframe", "pictures=false", "metrics=default")
+
+
+def test_a_local_method_starts_where_the_search_ends() -> None:
+    plain = PointToLineICP()
+    backend = CorrelativeSearch(translation=1.0, rotation_deg=40.0, peak_apart=0.4).before(plain)
+    source = backend.prepare(planar_scan(START @ T, 1, 0.005))
+    target = backend.prepare(planar_scan(START, 0, 0.005))
+    far = inverse(T) @ plain.register(source, target, np.eye(4)).T_target_source
+    assert translation_norm(far) > 0.1  # the guess is beyond its reach
+    result = judge.register(backend, source, target, np.eye(4))
+    off = inverse(T) @ result.T_target_source
+    assert translation_norm(off) < 0.01 and rotation_angle(off) < 0.005
+    assert result.search_score is not None and 0.7 < result.search_score <= 1.0
+    assert result.search_peak_ratio is not None and 0.2 < result.search_peak_ratio < 0.95
+    assert result.search_seconds is not None and 0.0 < result.search_seconds < result.seconds
+
+
+def test_without_a_search_a_backend_is_left_alone() -> None:
+    plain = PointToLineICP()
+    assert NoSearch().before(plain) is plain
+    guess = se2(0.1, 0.2, 0.3)
+    start = NoSearch().start(None, None, guess)  # type: ignore[arg-type]
+    assert start.T_target_source is guess and math.isnan(start.score)
+
+
+@pytest.mark.parametrize(("distance", "reaches"), [(0.0, False), (3.0, True)])
+def test_the_window_grows_with_the_motion(distance: float, reaches: bool) -> None:
+    """The guess is 0.4 m short: within two standard deviations of 10 % of 3 m, not of none."""
+    search = CorrelativeSearch(translation=0.05, rotation_deg=1.0)
+    backend = PointToLineICP()
+    target = backend.prepare(planar_scan(START, 0))
+    moved = se2(-distance, 0.0, 0.0)
+    shifted = planar_scan(START, 1)
+    shifted.points[:, 0] += distance
+    truth, guess = moved, moved @ se2(0.4, 0.0, 0.0)
+    off = inverse(truth) @ search.start(backend.prepare(shifted), target, guess).T_target_source
+    assert bool(translation_norm(off) < 0.1) == reaches
+
+
+def test_nothing_to_be_seen_keeps_the_guess() -> None:
+    search, backend = CorrelativeSearch(), PointToLineICP()
+    target = backend.prepare(planar_scan(START, 0))
+    guess = se2(500.0, 0.0, 0.1)
+    start = search.start(target, target, guess)
+    assert start.score == 0.0 and start.T_target_source is guess
+    assert float(yaw(start.T_target_source)) == pytest.approx(0.1)
+
+
+def test_runs_differ_by_their_search_and_older_ones_have_none() -> None:
+    words = ["selector=keyframe", "backend=plicp", "dataset=corridor"]
+    plain = settings.compose_settings(words)
+    one = settings.compose_settings([*words, "search=correlative"])
+    other = settings.compose_settings([*words, "search=correlative", "search.translation=0.2"])
+    assert len({s.identity.run for s in (plain, one, other)}) == 3
+    assert "search" not in plain.identity.choices  # as runs that do not name the group
+    nodes = [experiment.backend_node(s.config) for s in (plain, one, other)]
+    assert nodes[0] == plain.config["backend"]  # pairs known before this group are still known
+    assert nodes[0] != nodes[1] != nodes[2]
+    assert isinstance(experiment.build_backend(one.config), SearchedBackend)
+
+
+def test_a_run_says_what_its_search_cost_and_shares_its_pairs(tmp_path: Path) -> None:
+    words = ("compare", "backend=plicp", "guess=identity", "search=none,correlative", *SMALL)
+    for out in ("first", "again"):
+        folders = (f"out='{tmp_path / out}'", f"pairs.folder='{tmp_path / 'pairs'}'")
+        code, _, error = call(*words, *folders)
+        assert code == 0, error
+    tables = {
+        p.parent.name: pd.read_parquet(p) for p in (tmp_path / "again").rglob("steps.parquet")
+    }
+    assert len(tables) == 2
+    (searched,) = (t for name, t in tables.items() if "correlative" in name)
+    (plain,) = (t for name, t in tables.items() if "correlative" not in name)
+    assert plain["search_score"].isna().all() and plain["t_search_s"].isna().all()
+    done = searched[searched["status"] == "registered"]
+    assert len(done) and done["reused"].all()  # the second time out of the store
+    assert done["search_score"].between(0.5, 1.0).all()
+    assert (done["t_search_s"] < done["t_register_s"]).all()
+    assert (searched["fitness"].to_numpy()[1:] != plain["fitness"].to_numpy()[1:]).any()
+
+
+def test_clouds_in_space_are_refused_in_one_line() -> None:
+    words = ("dataset=simulated", "dataset.scans=3", "search=correlative", "backend=none")
+    code, _, error = call("run", *words, "selector=previous")
+    assert code == 2 and "search=correlative is for 2d only; this data set is 3d" in error
+
+
+def test_search_then_plicp_needs_no_guess() -> None:
+    assert script("bench_search").share_found(12, seed=7) >= 11 / 12
