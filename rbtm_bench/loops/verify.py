@@ -25,6 +25,7 @@ CELL, BLUR = 0.05, 0.1
 """m: a search's step, and the standard deviation of the likelihood that it looks at."""
 REACH = 3.0
 """Sigmas of the path that a search goes, within its bounds."""
+OFF_PATH = "sigmas from the path"
 MEMORY = 200e6
 """Bytes of prepared scans and targets that are kept."""
 
@@ -77,29 +78,32 @@ class Verifier:
 
     def verified(self, pair: Pair, T_guess: Array) -> Loop | str:
         """The loop, or why it is not believed. ``T_guess`` (4, 4) is the best estimate of its
-        motion. Registered from there, and from where a search finds the best fit: of what is
-        believed the better fit is taken."""
+        motion. Registered from where a search around it finds the likeliest place; where that fits
+        but lies too far from the path, a second time, from the estimate itself."""
         keyframes = self._track.keyframes
-        T_path, covariance = self._track.between(
-            int(keyframes[pair.model]), int(keyframes[pair.scan])
-        )
+        T_path, unsure = self._track.between(int(keyframes[pair.model]), int(keyframes[pair.scan]))
         try:
             source, target = self._scan(pair.scan), self._target(pair.model)
-            results = [
-                self._registered(source, target, T)
-                for T in (T_guess, self._searched(source, target, T_guess, covariance))
-            ]
+            outcome: Loop | str = OFF_PATH
+            for T_start in (self._searched(source, target, T_guess, unsure), T_guess):
+                result = self._work.register(source, target, T_start)
+                self.reused_seconds += result.seconds if result.reused else 0.0
+                outcome = self._judged(pair, result, T_path, unsure)
+                if isinstance(outcome, Loop) or not outcome.endswith(OFF_PATH):
+                    break
+            return outcome
         except BackendError as error:
             return str(error)
-        reasons = []
-        for result in sorted(results, key=lambda result: -result.fitness):
-            own = edge_covariance(result, self._track.planar, self._limits.information)
-            own = inflated(own, result.T_target_source, self._track.planar)
-            why_not = self._rejection(result, T_path, covariance + own)
-            if why_not is None:
-                return Loop(pair, result.T_target_source, own)
-            reasons.append(why_not)
-        return reasons[0]
+
+    def _judged(
+        self, pair: Pair, result: RegistrationResult, T_path: Array, unsure: Array
+    ) -> Loop | str:
+        """The loop that a registration gives, or why it is not believed, given the path's motion
+        and how unsure that is (6, 6)."""
+        own = edge_covariance(result, self._track.planar, self._limits.information)
+        own = inflated(own, result.T_target_source, self._track.planar)
+        why_not = self._rejection(result, T_path, unsure + own)
+        return Loop(pair, result.T_target_source, own) if why_not is None else why_not
 
     def _rejection(self, result: RegistrationResult, T_path: Array, unsure: Array) -> str | None:
         """Why a registration is not believed, given the path's motion and how unsure the two are
@@ -122,7 +126,7 @@ class Verifier:
         off = small((inverse(T_path) @ result.T_target_source)[None])[0][axes]
         sigmas = float(np.sqrt(off @ np.linalg.solve(unsure[np.ix_(axes, axes)], off)))
         if sigmas > limits.gate:
-            return f"{sigmas:.1f} > {limits.gate:g} sigmas from the path"
+            return f"{sigmas:.1f} > {limits.gate:g} {OFF_PATH}"
         return None
 
     def _searched(
@@ -137,11 +141,6 @@ class Verifier:
         turn = min(np.radians(self._limits.search_deg), REACH * float(std[5]))
         peak = self._matcher.match(source, target, T_guess, metres, turn)
         return se2(*peak.pose) if peak.score > 0.0 else T_guess
-
-    def _registered(self, source: Prepared, target: Prepared, T: Array) -> RegistrationResult:
-        result = self._work.register(source, target, T)
-        self.reused_seconds += result.seconds if result.reused else 0.0
-        return result
 
     def _scan(self, keyframe: int) -> Prepared:
         known = self._prepared.get(keyframe)
