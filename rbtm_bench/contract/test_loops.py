@@ -119,9 +119,7 @@ def test_a_short_path_stays_as_it_is(loops: Loops) -> None:
     poses = [se2(-2.0 + 0.3 * i, -1.0, 0.0) for i in range(12)]
     closing = closed(loops, poses)
     assert closing.accepted == 0, "a straight path of 3 m has no loops"
-    apart = translation_norm(
-        inverse(np.stack(route_of(poses).T_world_scan)) @ closing.T_world_scan
-    )
+    apart = translation_norm(inverse(np.stack(route_of(poses).T_world_scan)) @ closing.T_world_scan)
     assert apart.max() < 1e-9, "no loop, and the poses have moved"
 
 

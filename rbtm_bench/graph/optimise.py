@@ -13,6 +13,7 @@ from rbtm_bench.core.trajectory import orthonormalised
 from rbtm_bench.core.types import Array
 from rbtm_bench.graph.motions import moved
 from rbtm_bench.graph.pose_graph import PoseGraph
+from rbtm_bench.graph.robust import dcs
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-6, 1e-9, 1e9
 """Of the diagonal of the normal equations (Marquardt 1963): at first, and the limits."""
@@ -94,17 +95,6 @@ def _descend(
                 break
             damping *= 10.0
     return graph, steps, converged
-
-
-def dcs(chi2: Array, phi: float) -> tuple[Array, Array]:
-    """The scale s of each edge's residual and its cost (E,), given e^T information e.
-
-    s = min(1, 2 phi / (phi + chi2)): Agarwal, Tipaldi, Spinello, Stachniss, Burgard, "Robust map
-    optimization using dynamic covariance scaling", ICRA 2013, eq. 15. The cost is that whose
-    derivative by chi2 is s^2: chi2 up to phi, then phi (3 chi2 - phi) / (chi2 + phi) < 3 phi.
-    """
-    scale = np.minimum(1.0, 2.0 * phi / (phi + chi2))
-    return scale, np.where(chi2 <= phi, chi2, phi * (3.0 * chi2 - phi) / (chi2 + phi))
 
 
 def _cost(graph: PoseGraph, phi: float | None) -> tuple[float, Array]:

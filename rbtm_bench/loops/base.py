@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from rbtm_bench.core.types import Array, Edge, Step
 from rbtm_bench.core.uncertainty import InformationFrom
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.graph.pose_graph import PoseGraph
 from rbtm_bench.odometry.method import Work
+
+if TYPE_CHECKING:  # it brings scipy
+    from rbtm_bench.graph.pose_graph import PoseGraph
 
 
 @dataclass(eq=False)

@@ -7,25 +7,10 @@ from numpy.typing import NDArray
 
 from rbtm_bench.core.geometry import adjoint, inverse, rotation_angle, symmetric, translation_norm
 from rbtm_bench.core.types import Array, Edge
-from rbtm_bench.core.uncertainty import PLANE, SPACE, chained, edge_covariance
+from rbtm_bench.core.uncertainty import PLANE, SPACE, chained, edge_covariance, inflated
 from rbtm_bench.loops.base import Route
 
-FLOOR_M, FLOOR_RAD, FLOOR_SHARE = 0.005, 0.002, 0.01
-"""What a registration is unsure of, at least: m, rad, and of its motion. Information counts every
-matched point as if its error were its own; calibration errors, moved furniture and the shape of
-walls are common to all of them. Chosen on ACES and MIT CSAIL."""
-
 Places = NDArray[np.int64]
-
-
-def inflated(covariance: Array, T: Array, planar: bool) -> Array:
-    """A covariance (6, 6) of an edge, and what no information says."""
-    m = FLOOR_M + FLOOR_SHARE * float(translation_norm(T))
-    rad = FLOOR_RAD + FLOOR_SHARE * float(rotation_angle(T))
-    floor = np.array([m, m, m, rad, rad, rad]) ** 2
-    if planar:
-        floor[[2, 3, 4]] = 0.0
-    return covariance + np.diag(floor)
 
 
 class Track:

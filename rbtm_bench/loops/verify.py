@@ -14,10 +14,10 @@ from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import inverse, se2
 from rbtm_bench.core.kinds import ShareThreshold
 from rbtm_bench.core.types import Array, RegistrationResult
-from rbtm_bench.core.uncertainty import InformationFrom, edge_covariance
+from rbtm_bench.core.uncertainty import InformationFrom, edge_covariance, inflated
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.graph.motions import small
-from rbtm_bench.loops.track import Track, inflated
+from rbtm_bench.loops.track import Track
 from rbtm_bench.odometry.method import Work
 from rbtm_bench.pairs.shared import NATIVE_SHARE, Bounded
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array, read_only
 from rbtm_bench.datasets.base import Dataset
-from rbtm_bench.graph.g2o import write_g2o
 from rbtm_bench.loops.base import Loops, Route
 from rbtm_bench.metrics.base import Values
 from rbtm_bench.odometry.method import Work
@@ -28,6 +27,8 @@ def close_loops(
     closing = loops.close(route, dataset, work) if loops and work and route.scans else None
     if closing is None:
         return None, {}
+    from rbtm_bench.graph.g2o import write_g2o  # brings scipy
+
     looped = Trajectory(stamps, read_only(closing.T_world_scan))
     looped.write_tum(out / FILES[0])
     write_g2o(out / FILES[1], closing.graph)

@@ -136,6 +136,9 @@ class Selector(ABC):
     """True: refused together with a check that accepts everything."""
     tries_all: bool = False
     """True: every candidate is registered, and ``pick`` chooses among those that are accepted."""
+    edges: int = 1
+    """How many accepted registrations become edges of the scan; of several the pose is what agrees
+    best with all. More than 1 needs ``covariance_from``."""
     covariance_from: InformationFrom | None = None
     """Where the covariance of the window's nodes comes from; None: nobody needs it."""
     restart_after: int | None = None

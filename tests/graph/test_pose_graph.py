@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from rbtm_bench.core.geometry import inverse, se2, se3, translation_norm
 from rbtm_bench.core.types import Array
 from rbtm_bench.graph.motions import moved, small
-from rbtm_bench.graph.optimise import dcs, optimise
+from rbtm_bench.graph.optimise import optimise
 from rbtm_bench.graph.pose_graph import PoseGraph
+from rbtm_bench.graph.robust import dcs
 
 RNG = np.random.default_rng
 

@@ -6,9 +6,9 @@ import numpy as np
 
 from rbtm_bench.core.geometry import inverse, se2
 from rbtm_bench.core.types import Edge, Step, StepRecord
-from rbtm_bench.core.uncertainty import chained
+from rbtm_bench.core.uncertainty import FLOOR_M, FLOOR_RAD, FLOOR_SHARE, chained, inflated
 from rbtm_bench.loops.base import Route
-from rbtm_bench.loops.track import FLOOR_M, FLOOR_RAD, FLOOR_SHARE, Track, inflated
+from rbtm_bench.loops.track import Track
 
 UNSURE = np.diag([0.1, 0.2, 0.0, 0.0, 0.0, 0.05]) ** 2
 

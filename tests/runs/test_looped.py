@@ -57,6 +57,4 @@ def test_the_similarity_counts_where_loops_ask_for_it() -> None:
     assert "similarity" in compose_settings(SMALL).idle
     assert "similarity" not in compose_settings([*SMALL, "loops=similarity"]).idle
     with pytest.raises(ConfigError, match="similarity=overlap compares under a guess"):
-        experiment.instantiate(
-            compose_settings([*SMALL, "loops=similarity", "similarity=overlap"])
-        )
+        experiment.instantiate(compose_settings([*SMALL, "loops=similarity", "similarity=overlap"]))
