@@ -33,9 +33,9 @@ def round_and_round(count: int = 48) -> list[Array]:
 
 
 class Seen(Dataset):
-    """Scans of the room from known poses; they have a truth, which is not to be looked at."""
+    """Scans of the room from known poses."""
 
-    planar = has_beams = has_ground_truth = True
+    planar = has_beams = True
 
     def __init__(self, poses: list[Array]) -> None:
         self.poses = poses

@@ -60,5 +60,5 @@ class Loops(ABC):
 
     @abstractmethod
     def close(self, route: Route, dataset: Dataset, work: Work) -> Closing | None:
-        """Close the loops of a finished run. ``dataset[i]`` is scan number i, whose ground truth
-        must not be looked at; ``work`` registers pairs as the run did. None: nothing was asked."""
+        """Close the loops of a finished run. ``dataset[i]`` is scan number i, without ground truth;
+        ``work`` registers pairs as the run did. None: nothing was asked."""

@@ -40,7 +40,7 @@ class SimilarityLoops(GraphLoops):
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
         apart_m: Annotated[float, Gt(0)] = 10.0,
         phi: Annotated[float, Gt(0)] = 5.0,
-        rounds: Annotated[int, Ge(1)] = 2,
+        rounds: Annotated[int, Ge(1)] = 3,
         verify: Limits | None = None,
     ) -> None:
         super().__init__(keyframe_distance, keyframe_angle_deg, apart_m, phi, rounds, verify)
@@ -49,7 +49,7 @@ class SimilarityLoops(GraphLoops):
     def prepare(self, track: Track, dataset: Dataset, work: Work) -> None:
         self._similarity = work.method.similarity
         numbers = track.scans[track.keyframes].tolist()
-        scans = [dataset[number].without_truth() for number in numbers]
+        scans = [dataset[number] for number in numbers]
         self._descriptors = checked.descriptors(self._similarity, scans)
         self._places = principal(self._descriptors, self.components)
 

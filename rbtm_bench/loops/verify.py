@@ -56,8 +56,8 @@ class Limits:
     """
 
     neighbours: Annotated[int, Ge(0)] = 5
-    search_m: Annotated[float, Ge(0)] = 1.5
-    search_deg: Annotated[float, Ge(0)] = 15.0
+    search_m: Annotated[float, Ge(0)] = 4.0
+    search_deg: Annotated[float, Ge(0)] = 25.0
     min_fitness: ShareThreshold = 0.65
     min_inliers: Annotated[int, Ge(3)] = 40
     min_balance: ShareThreshold = 0.03
@@ -146,8 +146,7 @@ class Verifier:
         known = self._prepared.get(keyframe)
         if known is None:
             number = int(self._track.scans[self._track.keyframes[keyframe]])
-            scan = self._dataset[number].without_truth()
-            known = self._work.prepare(scan)[0]
+            known = self._work.prepare(self._dataset[number])[0]
             self._prepared.put(keyframe, known, NATIVE_SHARE * known.points.nbytes)
         return known
 
