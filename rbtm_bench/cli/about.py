@@ -38,6 +38,7 @@ def list_plugins(words: list[str]) -> int:
     """``rbtm-bench list``: every plug-in, its parameters, and whether its library is installed."""
     from rbtm_bench.core.wording import shown
     from rbtm_bench.runs.declared import PLUGIN_GROUPS
+    from rbtm_bench.runs.identity import flat
     from rbtm_bench.runs.settings import member_nodes
 
     parser = argparse.ArgumentParser(
@@ -59,9 +60,8 @@ def list_plugins(words: list[str]) -> int:
                 continue
             print(f"  {name:<18} {_about(group, name, node)}")
             if isinstance(node, dict):
-                for key, value in node.items():
-                    if key != "_target_":
-                        print(f"      {group}.{key}={shown(value)}")
+                for key, value in flat(node):
+                    print(f"      {group}.{key}={shown(value)}")
     return 0
 
 

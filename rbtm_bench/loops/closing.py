@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -15,7 +15,7 @@ from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.graph.optimise import optimise
 from rbtm_bench.graph.pose_graph import PoseGraph
 from rbtm_bench.loops.base import Closing, Loops, Route
-from rbtm_bench.loops.track import Track
+from rbtm_bench.loops.track import Places, Track
 from rbtm_bench.loops.verify import Limits, Loop, Pair, Verifier
 from rbtm_bench.odometry.method import Work
 
@@ -46,9 +46,12 @@ class GraphLoops(Loops):
         self.covariance_from = self._limits.information
 
     @abstractmethod
-    def pairs(self, track: Track, T_world_scan: Array, done: int) -> list[Pair]:
-        """Pairs of keyframes to verify, in order: the model the older one. ``T_world_scan``
-        (K, 4, 4) are the best poses of the keyframes, after ``done`` rounds."""
+    def pairs(
+        self, track: Track, T_world_scan: Array, tried: Collection[Pair], closed: Places
+    ) -> list[Pair]:
+        """Pairs of keyframes to verify, none of them ``tried``, in order: the model the older one.
+        ``T_world_scan`` (K, 4, 4) are the best poses of the keyframes so far, ``closed`` (L,) the
+        keyframes at an end of a loop that is believed."""
 
     def prepare(self, track: Track, dataset: Dataset, work: Work) -> None:
         """Called once a run, before the first ``pairs``."""
@@ -63,11 +66,12 @@ class GraphLoops(Loops):
         tried: dict[Pair, None] = {}
         best = graph_of(track, dataset, ())
         scale = np.ones(len(best.ends))
-        for done in range(self.rounds):
+        for _ in range(self.rounds):
             poses, before = best.T_world_scan[track.keyframes], len(loops)
-            closed = {pair.scan for pair in loops}
-            for pair in self.pairs(track, poses, done):
-                if pair in tried or pair.scan in closed:
+            closed = np.unique(np.array(list(loops), dtype=np.int64))
+            has_loop = {pair.scan for pair in loops}
+            for pair in self.pairs(track, poses, tried, closed):
+                if pair.scan in has_loop:
                     continue
                 tried[pair] = None
                 T_guess = inverse(poses[pair.model]) @ poses[pair.scan]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Annotated
 
 import numpy as np
@@ -12,7 +13,7 @@ from rbtm_bench.core.geometry import inverse, rotation_angle
 from rbtm_bench.core.kinds import Distance
 from rbtm_bench.core.types import Array
 from rbtm_bench.loops.closing import GraphLoops
-from rbtm_bench.loops.track import Track
+from rbtm_bench.loops.track import Places, Track
 from rbtm_bench.loops.verify import Limits, Pair
 
 METRES_PER_RAD = 1.0
@@ -21,9 +22,9 @@ METRES_PER_RAD = 1.0
 
 class PositionLoops(GraphLoops):
     """For every keyframe the nearest of the older ones that are no farther than the drift allows:
-    ``radius_m`` and ``drift`` times the path between the two, at most ``most_m``; after the first
-    round, when loops have taken the drift away, ``radius_m`` alone. Other parameters as in
-    ``GraphLoops``."""
+    ``radius_m`` and ``drift`` times the path between the two, at most ``most_m``. Once there are
+    loops, what has drifted is the path from either to the next keyframe on a loop, if that is
+    less. Other parameters as in ``GraphLoops``."""
 
     def __init__(
         self,
@@ -40,19 +41,23 @@ class PositionLoops(GraphLoops):
         super().__init__(keyframe_distance, keyframe_angle_deg, apart_m, phi, rounds, verify)
         self.radius_m, self.drift, self.most_m = radius_m, drift, most_m
 
-    def pairs(self, track: Track, T_world_scan: Array, done: int) -> list[Pair]:
-        positions = T_world_scan[:, :3, 3]
-        reach = self.most_m if done == 0 else self.radius_m
+    def pairs(
+        self, track: Track, T_world_scan: Array, tried: Collection[Pair], closed: Places
+    ) -> list[Pair]:
+        positions, loose = T_world_scan[:, :3, 3], np.full(len(track.path), np.inf)
+        if len(closed):
+            loose = np.abs(track.path[:, None] - track.path[closed]).min(axis=1)
         pairs = []
-        for scan, near in enumerate(cKDTree(positions).query_ball_point(positions, reach)):
+        for scan, near in enumerate(cKDTree(positions).query_ball_point(positions, self.most_m)):
             models = np.array(near, dtype=np.int64)
             path = track.path[scan] - track.path[models]
             distance = np.linalg.norm(positions[models] - positions[scan], axis=1)
-            allowed = np.minimum(reach, self.radius_m + self.drift * path)
+            drifted = self.drift * np.minimum(path, loose[scan] + loose[models])
+            allowed = np.minimum(self.most_m, self.radius_m + drifted)
             inside = (path > self.apart_m) & (distance <= allowed)
-            if inside.any():
-                models, distance = models[inside], distance[inside]
-                turn = rotation_angle(inverse(T_world_scan[models]) @ T_world_scan[scan])
-                order = np.lexsort((models, distance + METRES_PER_RAD * turn))
-                pairs.append(Pair(int(models[order[0]]), scan))
+            models, distance = models[inside], distance[inside]
+            turn = rotation_angle(inverse(T_world_scan[models]) @ T_world_scan[scan])
+            order = np.lexsort((models, distance + METRES_PER_RAD * turn))
+            untried = (Pair(int(models[i]), scan) for i in order)
+            pairs += [pair for pair in untried if pair not in tried][:1]
         return pairs

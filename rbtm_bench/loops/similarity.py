@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Annotated
 
 import numpy as np
@@ -12,7 +13,7 @@ from rbtm_bench.core.kinds import Distance, Threshold
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.loops.closing import GraphLoops
-from rbtm_bench.loops.track import Track
+from rbtm_bench.loops.track import Places, Track
 from rbtm_bench.loops.verify import Limits, Pair
 from rbtm_bench.odometry import checked
 from rbtm_bench.odometry.method import Work
@@ -53,13 +54,16 @@ class SimilarityLoops(GraphLoops):
         self._descriptors = checked.descriptors(self._similarity, scans)
         self._places = principal(self._descriptors, self.components)
 
-    def pairs(self, track: Track, T_world_scan: Array, done: int) -> list[Pair]:
+    def pairs(
+        self, track: Track, T_world_scan: Array, tried: Collection[Pair], closed: Places
+    ) -> list[Pair]:
         count = min(self.nearest + 1, len(self._places))
         _, near = cKDTree(self._places).query(self._places, k=count)
         pairs = []
         for scan, row in enumerate(near.reshape(len(near), -1)):
             models = np.sort(row)
             models = models[track.path[scan] - track.path[models] > self.apart_m]
+            models = models[[Pair(int(model), scan) not in tried for model in models]]
             if not len(models):
                 continue
             scores = self._similarity.scores(self._descriptors[models], self._descriptors[scan])

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from rbtm_bench.core.geometry import se2
-from rbtm_bench.core.types import Localizability, RegistrationResult
+from rbtm_bench.core.types import Array, Localizability, RegistrationResult
 from rbtm_bench.loops.position import PositionLoops
 from rbtm_bench.loops.similarity import SimilarityLoops, principal
 from rbtm_bench.loops.verify import Limits, Pair, Verifier
@@ -23,22 +24,34 @@ def path_of(*places: tuple[float, float, float], step: float = 3.0) -> tuple:
     return SimpleNamespace(path=step * np.arange(len(poses))), poses
 
 
+def by_position(track: Any, poses: Array, tried=(), closed=(), **settings) -> list[Pair]:
+    return PositionLoops(**settings).pairs(track, poses, tried, np.array(closed, dtype=np.int64))
+
+
 def test_the_nearest_old_keyframe_within_the_drift() -> None:
     """Keyframe 5 is 15 m after keyframe 0: 2 m and 3 % of 15 m may lie between them."""
-    track, poses = path_of((0, 0, 0), (9, 0, 0), (9, 9, 0), (9, 20, 0), (0, 20, 0), (2.4, 0, 0))
-    assert PositionLoops(radius_m=2.0, drift=0.03).pairs(track, poses, 0) == [Pair(0, 5)]
-    assert PositionLoops(radius_m=2.0, drift=0.02).pairs(track, poses, 0) == []
-    assert PositionLoops(radius_m=2.0, drift=0.03).pairs(track, poses, 1) == [], "after a round"
-    assert PositionLoops(radius_m=2.0, drift=0.03, most_m=2.3).pairs(track, poses, 0) == []
-    assert PositionLoops(apart_m=15.0, drift=0.03).pairs(track, poses, 0) == [], "not over 15 m"
+    way = path_of((0, 0, 0), (9, 0, 0), (9, 9, 0), (9, 20, 0), (0, 20, 0), (2.4, 0, 0))
+    assert by_position(*way) == [Pair(0, 5)]
+    assert by_position(*way, drift=0.02) == []
+    assert by_position(*way, most_m=2.3) == []
+    assert by_position(*way, apart_m=15.0) == [], "not over 15 m"
+    assert by_position(*way, tried={Pair(0, 5)}) == []
+
+
+def test_next_to_loops_less_has_drifted() -> None:
+    """Loops at 1 and 4: 0 and 5 are 3 m each from one, so 2 m and 3 % of 6 m."""
+    near = path_of((0, 0, 0), (9, 0, 0), (9, 9, 0), (9, 20, 0), (0, 20, 0), (2.17, 0, 0))
+    far = path_of((0, 0, 0), (9, 0, 0), (9, 9, 0), (9, 20, 0), (0, 20, 0), (2.19, 0, 0))
+    assert by_position(*near, closed=[1, 4]) == [Pair(0, 5)]
+    assert by_position(*far, closed=[1, 4]) == [] and by_position(*far) == [Pair(0, 5)]
 
 
 def test_of_two_in_reach_the_nearer_and_of_equals_the_one_that_looks_the_same_way() -> None:
     far = [(50.0 + 9 * i, 0.0, 0.0) for i in range(4)]
-    track, poses = path_of((0, 0, 0), (1, 0, 0), *far, (0.8, 0, 0))
-    assert PositionLoops().pairs(track, poses, 0) == [Pair(1, 6)]
-    track, poses = path_of((0, 0, np.pi), (1, 0, 0), *far, (0.4, 0, 0))
-    assert PositionLoops().pairs(track, poses, 0) == [Pair(1, 6)]
+    way = path_of((0, 0, 0), (1, 0, 0), *far, (0.8, 0, 0))
+    assert by_position(*way) == [Pair(1, 6)]
+    assert by_position(*way, tried={Pair(1, 6)}) == [Pair(0, 6)]
+    assert by_position(*path_of((0, 0, np.pi), (1, 0, 0), *far, (0.4, 0, 0))) == [Pair(1, 6)]
 
 
 class Words(RangeCorrelation):
@@ -48,19 +61,20 @@ class Words(RangeCorrelation):
         return window @ descriptor
 
 
-def similar(descriptors: list[list[float]], **settings) -> list[Pair]:
+def similar(descriptors: list[list[float]], tried=(), **settings) -> list[Pair]:
     loops = SimilarityLoops(apart_m=5.0, **settings)
     loops._similarity = Words()
     loops._descriptors = np.array(descriptors)
     loops._places = principal(loops._descriptors, 2)
     track, poses = path_of(*[(0.0, 0.0, 0.0)] * len(descriptors))
-    return loops.pairs(track, poses, 0)
+    return loops.pairs(track, poses, tried, np.zeros(0, dtype=np.int64))
 
 
 def test_the_most_similar_of_long_ago_above_the_threshold() -> None:
     descriptors = [[1.0, 0.0], [0.0, 1.0], [0.6, 0.8], [0.99, 0.1]]
     assert similar(descriptors, threshold=0.7) == [Pair(0, 3)]
     assert similar(descriptors, threshold=0.995) == []
+    assert similar(descriptors, tried={Pair(0, 3)}, threshold=0.7) == []
     descriptors.append([0.1, 0.99])
     assert similar(descriptors, threshold=0.7) == [Pair(0, 3), Pair(1, 4)]
     assert similar(descriptors, threshold=0.7, nearest=1) == [Pair(0, 3), Pair(1, 4)]
