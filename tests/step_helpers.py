@@ -11,6 +11,7 @@ from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.runs import experiment
 
 TIMES = ("t_prepare_s", "t_describe_s", "t_guess_s", "t_select_s", "t_register_s", "t_check_s")
+TIMES += ("t_search_s",)
 
 
 def steps(parts: experiment.Parts) -> list[Step]:

@@ -60,6 +60,16 @@ def test_the_window_grows_with_the_motion(distance: float, reaches: bool) -> Non
     assert bool(translation_norm(off) < 0.1) == reaches
 
 
+@pytest.mark.parametrize(("min_gain", "leaves"), [(0.0, True), (0.5, False)])
+def test_the_guess_is_left_for_a_better_score_only(min_gain: float, leaves: bool) -> None:
+    search, backend = CorrelativeSearch(min_gain=min_gain), PointToLineICP()
+    source, target = (backend.prepare(planar_scan(START, i)) for i in (1, 0))
+    guess = se2(0.07, 0.04, 0.0)
+    start = search.start(source, target, guess)
+    assert (start.T_target_source is not guess) == leaves
+    assert (start.score > 0.9) == leaves
+
+
 def test_nothing_to_be_seen_keeps_the_guess() -> None:
     search, backend = CorrelativeSearch(), PointToLineICP()
     target = backend.prepare(planar_scan(START, 0))
