@@ -39,6 +39,7 @@ def list_plugins(words: list[str]) -> int:
     from rbtm_bench.core.wording import shown
     from rbtm_bench.datasets.published import PUBLISHED, state
     from rbtm_bench.runs.declared import PLUGIN_GROUPS
+    from rbtm_bench.runs.identity import flat
     from rbtm_bench.runs.settings import member_nodes
 
     parser = argparse.ArgumentParser(
@@ -70,9 +71,8 @@ def list_plugins(words: list[str]) -> int:
                 continue
             print(f"  {name:<18} {_about(group, name, node)}")
             if isinstance(node, dict):
-                for key, value in node.items():
-                    if key != "_target_":
-                        print(f"      {group}.{key}={shown(value)}")
+                for key, value in flat(node):
+                    print(f"      {group}.{key}={shown(value)}")
     return 0
 
 

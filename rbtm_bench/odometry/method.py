@@ -12,6 +12,7 @@ import numpy as np
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.check.base import Check
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan, StepRecord
+from rbtm_bench.core.uncertainty import InformationFrom
 from rbtm_bench.guess.base import Guess
 from rbtm_bench.odometry import checked, judge
 from rbtm_bench.recovery.base import Recovery
@@ -56,6 +57,13 @@ class Method:
     """Points of a cloud in space that a registration is judged by, at most."""
     judge_radius: float | None = None
     """m within which it is judged; None: the backend's ``max_correspondence_distance``."""
+    edges_from: InformationFrom | None = None
+    """Where the covariance of edges comes from though no selector asks; None: nobody needs it."""
+
+    @property
+    def covariance_from(self) -> InformationFrom | None:
+        """Where the covariance of edges comes from; None: nobody needs it."""
+        return self.selector.covariance_from or self.edges_from
 
 
 class Ready(NamedTuple):

@@ -210,7 +210,8 @@ def method_order(run: Run) -> tuple[Any, ...]:
 
 def method_names(runs: Sequence[Run]) -> dict[Run, str]:
     """Every run's selector, and whatever else differs between methods, without its seed."""
-    others = distinctions(runs, ("guess", "search", "check", "recovery", "target", "similarity"))
+    groups = ("guess", "search", "check", "recovery", "target", "loops", "similarity")
+    others = distinctions(runs, groups)
     settings = varying(runs, "selector", skip=(*ALWAYS, "gaps_from", "gaps"))
     folders = {run.path.resolve(): run for run in runs}
     folders.update({Path(folder_name(run)): run for run in runs})

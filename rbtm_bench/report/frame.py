@@ -60,7 +60,8 @@ def row(run: Run, label: str = "", data: str = "") -> dict[str, Any]:
 
 
 LABELLED = (
-    *("similarity", "guess", "search", "check", "recovery", "target", "metrics", "backend", ""),
+    *("similarity", "guess", "search", "check", "recovery", "target", "loops"),
+    *("metrics", "backend", ""),
 )
 """The groups whose differences a label names, beside the selector's; "": settings outside all."""
 COLUMNED = ("selector.window", "selector.threshold")

@@ -19,9 +19,10 @@ PLUGIN_GROUPS = (
     "check",
     "recovery",
     "target",
+    "loops",
 )
 GROUPS = (*PLUGIN_GROUPS, "metrics")
-ADDED = {"search": "none", "recovery": "none"}
+ADDED = {"search": "none", "recovery": "none", "loops": "none"}
 """Groups that older runs do not name, with the member that does what was done before."""
 FOR_PAIRS = (
     "similarity",
@@ -31,6 +32,7 @@ FOR_PAIRS = (
     "check",
     "recovery",
     "target",
+    "loops",
     "guess_along_degenerate",
     "guess_weight",
     "motion_filter",

@@ -153,23 +153,25 @@ def special_settings(composed: DictConfig, config: Mapping[str, Any]) -> dict[st
 def idle_settings(config: Mapping[str, Any]) -> tuple[str, ...]:
     """The groups and settings that do nothing for the chosen plug-ins.
 
-    A similarity of which the selector needs no scores, and what a plug-in's ``idle_settings``
-    (setting -> (other setting, value)) declares: idle where the other has that value.
+    A similarity of which neither selector nor loops need scores, and what a plug-in's
+    ``idle_settings`` (setting -> (other setting, value)) declares: idle where the other has that
+    value.
     """
     if is_system(config):
         return FOR_PAIRS
     idle: list[str] = []
+    needs_scores = False
     for group in PLUGIN_GROUPS:
         node = config.get(group)
         made = class_of(group, node) if isinstance(node, Mapping) and "_target_" in node else None
         if made is None or not isinstance(node, Mapping):
             continue
-        if group == "selector" and not getattr(made, "needs_scores", True):
-            idle.append("similarity")
+        if group in ("selector", "loops"):
+            needs_scores = needs_scores or getattr(made, "needs_scores", group == "selector")
         for key, (other, value) in getattr(made, "idle_settings", {}).items():
             if node.get(other) == value:
                 idle.append(f"{group}.{key}")
-    return tuple(idle)
+    return tuple(idle) if needs_scores else ("similarity", *idle)
 
 
 def node_key(*nodes: Any) -> str:

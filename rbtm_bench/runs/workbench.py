@@ -80,7 +80,8 @@ class Workbench:
         work: Work = SharedWork(method, memory, self._store, contexts, scores, guess_key)
         if self._watch is not None:
             work = WatchedWork(work, self._watch)
-        return experiment.Parts(dataset, method, metrics, work, determined)
+        loops = experiment.build(config["loops"])
+        return experiment.Parts(dataset, method, metrics, work, determined, loops)
 
     def flush(self) -> None:
         """Let other processes see what this one has computed."""

@@ -135,10 +135,15 @@ class Selector(ABC):
     needs_truth: bool = False
     """True for what is no method but a bound: ``see`` is then given every scan with its ground
     truth, which nothing else in the loop ever sees. Its results must say so in their reason."""
+    needs_scans: bool = False
+    """True: ``see`` is given every scan, without its ground truth."""
     needs_check: bool = False
     """True: refused together with a check that accepts everything."""
     tries_all: bool = False
     """True: every candidate is registered, and ``pick`` chooses among those that are accepted."""
+    edges: int = 1
+    """How many accepted registrations become edges of the scan; of several the pose is what agrees
+    best with all. More than 1 needs ``covariance_from``."""
     covariance_from: InformationFrom | None = None
     """Where the covariance of the window's nodes comes from; None: nobody needs it."""
     restart_after: int | None = None
@@ -169,8 +174,8 @@ class Selector(ABC):
         NaN if ``needs_scores`` is False). W >= 1.
         """
 
-    def see(self, scan: Scan) -> None:  # noqa: B027 (only with needs_truth)
-        """Every scan with its ground truth, before it is selected for; see ``needs_truth``."""
+    def see(self, scan: Scan) -> None:  # noqa: B027 (only with needs_truth or needs_scans)
+        """Every scan before it is selected for, with its ground truth only if ``needs_truth``."""
 
     def choose(self, scan: int, window: Window, scores: Array) -> Selection:
         """What the loop calls: ``select`` with the window's numbers. A strategy that looks at the

@@ -5,13 +5,21 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
 from rbtm_bench.core.types import Node
+
+
+class KeyframeRule(Protocol):
+    """Which scans a window keeps."""
+
+    def is_new(self, members: list[Node], node: Node) -> bool:
+        """Whether a scan is kept beside the members (W >= 1), oldest first. Asked once a scan."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -21,8 +29,8 @@ class Keyframes:
     distance: float
     angle_deg: float
 
-    def is_new(self, last: Node, node: Node) -> bool:
-        T = inverse(last.T_world_scan) @ node.T_world_scan
+    def is_new(self, members: list[Node], node: Node) -> bool:
+        T = inverse(members[-1].T_world_scan) @ node.T_world_scan
         moved = float(translation_norm(T)) >= self.distance
         return moved or float(rotation_angle(T)) >= np.radians(self.angle_deg)
 
@@ -37,7 +45,7 @@ class Window:
     """
 
     def __init__(
-        self, capacity: int, keyframes: Keyframes | None = None, length: float | None = None
+        self, capacity: int, keyframes: KeyframeRule | None = None, length: float | None = None
     ) -> None:
         if capacity < 1:
             raise ValueError(f"window capacity {capacity}: expected at least 1")
@@ -94,7 +102,7 @@ class Window:
             self._travelled += math.sqrt(float(step @ step))
         self._newest = node
         rule = None if always or not self.nodes else self.keyframes
-        if rule is None or rule.is_new(self.nodes[-1], node):
+        if rule is None or rule.is_new(self.nodes, node):
             self.nodes.append(node)
             self._odometer.append(self._travelled)
             self._by_scan[node.scan] = node

@@ -34,7 +34,9 @@ class AroundModel(Joined):
         self._rule = Keyframes(distance or math.inf, angle_deg or math.inf) if is_spaced else None
 
     def window(self, selected: Window) -> Window:
-        rule, theirs, finer = self._rule or selected.keyframes, selected.keyframes, 1
+        kept, finer = selected.keyframes, 1
+        theirs = kept if isinstance(kept, Keyframes) else None  # other rules are asked once a scan
+        rule = self._rule or theirs
         if rule is not None and theirs is not None:  # several neighbours between two of theirs
             ratio = max(theirs.distance / rule.distance, theirs.angle_deg / rule.angle_deg)
             finer = max(1, math.ceil(ratio))

@@ -10,7 +10,7 @@ from step_helpers import TIMES, assert_same, steps
 
 from rbtm_bench.core.step_columns import STEPS
 from rbtm_bench.pairs.store import PairStore
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import experiment, pictures
 from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.runs.workbench import Workbench
 
@@ -99,7 +99,7 @@ def test_every_time_of_a_step_is_exempt_from_the_comparison() -> None:
 def test_matrices_for_pictures_are_the_same_bits() -> None:
     settings = compose_settings([SCANS, *METHODS["odometry"]])
     plain, shared = experiment.instantiate(settings), Workbench().parts(settings)
-    scans, expected = experiment.similarity_matrix(plain.dataset, plain.method.similarity)
-    _, found = experiment.similarity_matrix(shared.dataset, shared.method.similarity)
+    scans, expected = pictures.similarity_matrix(plain.dataset, plain.method.similarity)
+    _, found = pictures.similarity_matrix(shared.dataset, shared.method.similarity)
     assert len(scans) == 40
     np.testing.assert_array_equal(found, expected)
