@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rbtm_bench.cli import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.columns import KNOWN
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.trajectory import Trajectory
