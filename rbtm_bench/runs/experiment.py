@@ -13,9 +13,10 @@ import contextlib
 import os
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Protocol
 
 import numpy as np
@@ -162,16 +163,28 @@ def instantiate(settings: Settings) -> Parts:
     config = replicate.with_moved(settings.config, plain)
     watch = Watch(UNSHARED_BYTES) if foreign_modules(config) else None
     dataset = SharedDataset(plain, 0.0, watch)
-    if is_system(config):
-        return Parts(dataset, build(config["backend"]), build_metrics(config))
-    method = Method(
-        backend=build_backend(config),
-        **{g: build(config[g]) for g in PLUGIN_GROUPS if g not in ("dataset", *REGISTERING)},
+    method, metrics = build_method(config), build_metrics(config)
+    if watch is None or isinstance(method, System):
+        return Parts(dataset, method, metrics)
+    return Parts(dataset, method, metrics, WatchedWork(Work(method), watch))
+
+
+def build_method(
+    config: dict[str, Any], given: Mapping[str, Any] = MappingProxyType({})
+) -> Method | System:
+    """What is compared: the system of resolved settings, or all that goes with their backend;
+    plug-ins that are ``given`` by group are taken as they are."""
+    if "backend" not in given and is_system(config):
+        system: System = build(config["backend"])
+        return system
+    groups = [group for group in PLUGIN_GROUPS if group != "dataset"]
+    made = {g: given[g] if g in given else build(config[g]) for g in groups}
+    return Method(
+        backend=made.pop("search").before(made.pop("backend")),
+        **made,
         guess_along_degenerate=config["guess_along_degenerate"],
         judge_points=config["judge_points"],
     )
-    work = None if watch is None else WatchedWork(Work(method), watch)
-    return Parts(dataset, method, build_metrics(config), work)
 
 
 def build_backend(config: dict[str, Any]) -> Backend:
@@ -198,19 +211,27 @@ def check_fit(settings: Settings, dataset: Dataset) -> None:
     Loads no backend library: only a backend's class is looked at.
     """
     config = settings.config
-    needed = "2d" if dataset.planar else "3d"
-    for group in REGISTERING[:1] if is_system(config) else REGISTERING:
-        plugin = locate(group, config[group]["_target_"])
-        dimensions = getattr(plugin, "dimensions", ("2d", "3d"))  # a factory function has none
-        if needed not in dimensions:
-            raise ConfigError(
-                f"{group}={settings.choices.get(group)} is for {', '.join(dimensions)} only; "
-                f"this data set is {needed}"
-            )
+    check_dimensions(settings, dataset.planar)
     if is_system(config):
         return
     build(config["guess"]).check(dataset)
     _check_selector(settings, dataset)
+
+
+def check_dimensions(settings: Settings, planar: bool, backend: Any = None) -> None:
+    """Raise ``ConfigError`` if what registers is not for ``planar`` scans, or for others; a
+    ``backend`` that is an object stands for the one of the settings."""
+    config = settings.config
+    needed = "2d" if planar else "3d"
+    for group in REGISTERING[:1] if is_system(config) else REGISTERING:
+        given = backend if group == "backend" else None
+        plugin = given or locate(group, config[group]["_target_"])
+        name = f"={settings.choices.get(group)}" if given is None else ""
+        dimensions = getattr(plugin, "dimensions", ("2d", "3d"))  # a factory function has none
+        if needed not in dimensions:
+            raise ConfigError(
+                f"{group}{name} is for {', '.join(dimensions)} only; this data set is {needed}"
+            )
 
 
 def _check_selector(settings: Settings, dataset: Dataset) -> None:

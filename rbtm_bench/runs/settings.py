@@ -95,14 +95,22 @@ def _unknown_key(error: Exception, overrides: list[str]) -> str | None:
     key = unknown.group(1)
     others = [word for word in overrides if word.split("=")[0].strip() != key]
     try:
-        node: Any = compose("config", overrides=others)
+        whole = node = compose("config", overrides=others)
     except Exception:  # something else is wrong as well
         return None
     *parents, last = key.split(".")
     for parent in parents:
         node = node.get(parent) if isinstance(node, DictConfig) else None
     known = [str(k) for k in node if k != "_target_"] if isinstance(node, DictConfig) else []
+    owners = [str(k) for k in whole if not parents and last in _keys(whole, k)]
+    if owners:
+        return f"{key}: no such setting. Did you mean {' or '.join(f'{k}.{key}' for k in owners)}?"
     return f"{key}: no such setting.{suggestion(last, known)}"
+
+
+def _keys(config: DictConfig, name: Any) -> list[Any]:
+    node = config._get_node(name)  # ??? is no value to ask for
+    return list(node) if isinstance(node, DictConfig) else []
 
 
 def members(group: str, extra_dirs: tuple[Path, ...] = ()) -> list[str]:

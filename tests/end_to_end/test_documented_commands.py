@@ -34,6 +34,7 @@ ELSEWHERE = {
     "python scripts/benchmarks/bench_": "end_to_end/test_benchmarks.py",
     "python scripts/benchmarks/placebo.py": "report/test_placebo.py",
     "python scripts/benchmarks/nothing_matches.py": "odometry/test_nothing_matches.py",
+    "python scripts/make_python_page.py": "cli/test_python_page.py",
     "python scripts/mutants.py": "end_to_end/test_mutants.py",
     "python -m rbtm_bench.contract": "end_to_end/test_plugins.py",
     "rbtm-bench compare backend=open3d_p2p,my_icp": "end_to_end/test_plugins.py",
