@@ -15,6 +15,8 @@ COMMANDS = (
     "show",
     "diff",
     "plot",
+    "gate",
+    "export",
     "similarity",
     "calibrate",
     "data",

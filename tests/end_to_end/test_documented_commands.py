@@ -135,6 +135,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, data_dir: Path) -> Path:
             words = (f"seed={seed}", f"selector.window={window}")
             run(root / "results/sweep", f"{seed}-{window}", "paper", "rbtm", "none", *words)
     (root / "results" / "s1").symlink_to(root / "results" / "sweep")
+    (root / "results" / "main").symlink_to(root / "results" / "compare")
     return root
 
 
