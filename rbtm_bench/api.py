@@ -1,7 +1,6 @@
 """The public face: what ``import rbtm_bench as rb`` gives, over the parts that the commands use.
 
-Settings are keyword arguments with the command line's names, two underscores where it has a dot:
-``selector.window=10`` is ``selector__window=10`` (or ``**{"selector.window": 10}``).
+Settings are keyword arguments, two underscores for the command line's dot (``runs.keywords``).
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from rbtm_bench.backends.base import Backend
 from rbtm_bench.backends.system import System
 from rbtm_bench.core.errors import ConfigError, DataError, RunError
 from rbtm_bench.core.trajectory import Trajectory
-from rbtm_bench.core.types import RegistrationResult, Scan
+from rbtm_bench.core.types import RegistrationResult
 from rbtm_bench.datasets import summary
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.datasets.in_memory import FirstScan, numbered, scan_of
@@ -29,20 +28,28 @@ from rbtm_bench.engine.sweep_folder import Asked
 from rbtm_bench.odometry import judge, loop
 from rbtm_bench.odometry.result import Odometry
 from rbtm_bench.odometry.system import system_odometry
+from rbtm_bench.pairs.shared import SharedDataset
 from rbtm_bench.report import frame, screen
-from rbtm_bench.runs import evaluation, experiment, replicate, stored
+from rbtm_bench.runs import evaluation, experiment, first_part, replicate, stored
 from rbtm_bench.runs.claim import default_folder
-from rbtm_bench.runs.keywords import OF_DATA, OF_METHOD, OF_PAIR, objects_and_names, of_values
+from rbtm_bench.runs.keywords import (
+    OF_DATA,
+    OF_METHOD,
+    OF_PAIR,
+    defaults_for,
+    objects_and_names,
+    of_values,
+)
 from rbtm_bench.runs.plugins import is_system
 from rbtm_bench.runs.settings import Settings, compose_settings
 from rbtm_bench.runs.words import as_typed, data_words
 from rbtm_bench.selection.base import Selector
+from rbtm_bench.selection.thresholded import AUTO
 
 if TYPE_CHECKING:
     import pandas as pd
 
 Folders = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
-"""A folder, or several."""
 
 _opened: WeakKeyDictionary[Dataset, list[str]] = WeakKeyDictionary()
 """The words that data sets were opened by: they bring settings for what works on them."""
@@ -94,17 +101,16 @@ def register(
     if scans[0].planar is not scans[1].planar:
         raise DataError("source and target: one is planar and the other is not")
     given, named = objects_and_names({"backend": backend, **settings}, OF_PAIR, "register")
-    composed = _composed([*_defaults(scans[0]), *of_values(named)], config_dir)
+    composed = _composed([*defaults_for(scans[0]), *of_values(named)], config_dir)
     config = composed.config
     if isinstance(given.get("backend"), System) or ("backend" not in given and is_system(config)):
         raise ConfigError(f"backend={backend} is a whole odometry: expected one that takes pairs")
     experiment.check_dimensions(composed, scans[0].planar, given.get("backend"))
-    method = experiment.build(config["search"]).before(
-        given["backend"] if given else experiment.build(config["backend"])
-    )
+    method = experiment.build_backend(config, given.get("backend"))
     prepared = [method.prepare(scan) for scan in scans]
     T_guess = np.eye(4) if guess is None else guess
-    return judge.register(method, prepared[0], prepared[1], T_guess, config["judge_points"])
+    judged_by = config["judge_points"], config["judge_radius"]
+    return judge.register(method, prepared[0], prepared[1], T_guess, *judged_by)
 
 
 def odometry(
@@ -155,16 +161,21 @@ def odometry(
         raise DataError("no scans: expected at least one")
     asked = {"backend": backend, "selector": selector, **settings}
     given, named = objects_and_names(asked, OF_METHOD, "odometry")
-    words = _defaults(first)
+    words = defaults_for(first)
     if isinstance(scans, Dataset):
         words = _opened.get(scans, words)
     composed = _composed([*words, *of_values(named)], config_dir)
+    config, dataset = composed.config, scans if isinstance(scans, Dataset) else FirstScan(first)
     experiment.check_dimensions(composed, first.planar, given.get("backend"))
-    experiment.check_fit(composed, scans if isinstance(scans, Dataset) else FirstScan(first))
-    method = experiment.build_method(composed.config, given)
+    experiment.check_fit(composed, dataset)
     every = itertools.chain([first], stream)
-    if isinstance(method, System):
-        return Odometry(system_odometry(every, method))
+    node = experiment.build(config["backend"]) if is_system(config) else None
+    if isinstance(system := given.get("backend", node), System):
+        return Odometry(system_odometry(every, system))
+    if dataset is not scans and config["selector"].get("threshold") == AUTO:
+        raise ConfigError("selector.threshold=auto looks at the data first: expected a Dataset")
+    known = first_part.determined(config, SharedDataset(dataset, 0.0), experiment.method_of)
+    method = experiment.method_of(first_part.filled(config, known.values), given)
     block = 1 if is_stream or given else experiment.BLOCK
     return Odometry(loop.odometry(every, method, block=block))
 
@@ -238,8 +249,7 @@ def run(
     words = _with_path(path, of_values(settings))
     composed = _composed(words, config_dir)
     out = Path(composed.config["out"] or default_folder("runs", composed.choices))
-    command = ["rbtm-bench", "run", *words, *_as_options(config_dir)]
-    drive.run_alone(composed, out, argv=command)
+    drive.run_alone(composed, out, argv=["rbtm-bench", "run", *words, *_as_options(config_dir)])
     return stored.read_run(out)
 
 
@@ -263,6 +273,7 @@ def compare(
     **settings
         As for ``run``; a list of values (a tuple, a range) multiplies: ``backend=["plicp",
         "open3d_p2p"], seed=range(5)``. A setting that is a list itself is a list in a list.
+        ``controls="none"`` leaves out the controls that rbtm's runs bring along.
 
     Returns
     -------
@@ -283,8 +294,8 @@ def compare(
     folders = _folders(config_dir)
     grid = Comparison.of(words, folders, workers)
     out = Path(grid.settings[0].config["out"] or default_folder("compare"))
-    options = _as_options(config_dir)
-    asked = Asked.now("compare", [*words, *options], words, map(str, folders), False)
+    typed = [*words, *_as_options(config_dir)]
+    asked = Asked.now("compare", typed, words, map(str, folders), False)
     ended = driver.drive(grid, asked, out, resumed=False)
     runs = [folder for folder in ended.folders if (folder / "run.json").is_file()]
     if not runs:
@@ -331,7 +342,7 @@ def evaluate(
         A data set's ground truth and relations, pose by pose of its scans; of trajectories with
         other stamps the pose nearest in time; arrays pose by pose.
     tolerance_s : float
-        s between two poses of trajectories that belong together.
+        s between poses that belong together.
     **settings
         Of the metrics: ``metrics__ape__align="umeyama"``.
 
@@ -368,17 +379,9 @@ def _trajectory(given: Any, name: str) -> Trajectory:
         return Trajectory.read_tum(given)
     if isinstance(given, Trajectory):
         return given
-    poses = np.asarray(given, dtype=np.float64)
-    if poses.ndim != 3 or poses.shape[1:] != (4, 4):
+    if (poses := np.asarray(given, np.float64)).ndim != 3 or poses.shape[1:] != (4, 4):
         raise DataError(f"{name}: {poses.shape}: expected poses (N, 4, 4)")
     return Trajectory(np.arange(len(poses), dtype=np.float64), poses)
-
-
-def _defaults(scan: Scan) -> list[str]:
-    """The words that suit scans like this one, of which no data set says what suits them."""
-    words = ["dataset=corridor"] if scan.planar else ["dataset=cloud_folder", "dataset.path=."]
-    words += ["guess=odometry"] if scan.odometry is not None else []
-    return words + (["similarity=overlap"] if scan.planar and scan.ranges is None else [])
 
 
 def _composed(words: list[str], config_dir: Folders) -> Settings:

@@ -18,7 +18,7 @@ cd -- "$repo"
 venv=$repo/.venv
 stamp=$venv/.setup-done # what the last finished set-up was made for: repository, hash, kind
 running='.[small-gicp]'
-testing='.[small-gicp,bags,slurm,ray,dev]' # the launchers are tested for real
+testing='.[small-gicp,bags,las,slurm,ray,dev]' # the launchers are tested for real
 kind=${1:-run}
 case $kind in
     run) requirement=$running ;;

@@ -20,7 +20,7 @@ def steps(parts: experiment.Parts) -> list[Step]:
 
 def rows(run: list[Step]) -> list[dict[str, Any]]:
     """What must not differ: everything but times and whether it was reused."""
-    exempt = (*TIMES, "reused")
+    exempt = (*TIMES, "search_seconds", "reused")
     return [{k: v for k, v in s.record.as_dict().items() if k not in exempt} for s in run]
 
 

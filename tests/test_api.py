@@ -192,7 +192,7 @@ def test_data_by_path(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
 def test_a_comparison_and_its_table(tmp_path: Path) -> None:
     lists = {"backend": ["none", "plicp"], "selector": ("previous", "rbtm"), "seed": range(2)}
     out = tmp_path / "grid"
-    table = rb.compare(**lists, **SMALL, selector__window=6, jobs=1, out=out)
+    table = rb.compare(**lists, **SMALL, selector__window=6, jobs=1, controls="none", out=out)
     assert len(table) == 8 and set(table["status"]) == {"done"}
     assert table.attrs["out"] == str(out) and (out / "summary.csv").is_file()
     assert len(rb.load_runs(out, over_seeds=True)) == 4

@@ -14,16 +14,16 @@ import operator
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from rbtm_bench.backends.plane_index import PlaneIndex, plane_index
 from rbtm_bench.backends.space_index import SpaceIndex, space_index
 from rbtm_bench.core.errors import BackendError, one_line
-from rbtm_bench.core.geometry import to_plane, transform, voxel_downsample
+from rbtm_bench.core.geometry import inverse, to_plane, transform, voxel_downsample
 from rbtm_bench.core.kinds import Distance, VoxelSize
 from rbtm_bench.core.rigid import all_finite, rigidity, symmetric_information
 from rbtm_bench.core.types import Array, Scan
@@ -71,6 +71,16 @@ class Prepared:
         """Where the judge finds the nearest of planar points."""
         return plane_index(self.points)
 
+    @property
+    def size(self) -> int:
+        """How many points it has."""
+        return len(self.points)
+
+    def as_built(self, T_target_source: Array) -> tuple[Prepared, Array]:
+        """The cloud in the frame that it was built in, and a motion (4, 4) into its own frame as
+        one into that."""
+        return self, T_target_source
+
     @cached_property
     def digest(self) -> bytes:
         """16 bytes that tell its points from others."""
@@ -83,6 +93,61 @@ class Prepared:
             kept = space_index(self.points, radius)
             self.__dict__.update(_cells=kept, _radius=radius)
         return kept
+
+
+def joined_key(parts: Sequence[tuple[Prepared, Array]]) -> TargetKey:
+    """The key of a cloud made of prepared scans, each with its T_target_part (4, 4)."""
+    return tuple((number, T.tobytes()) for part, T in parts for number, _ in part.key)
+
+
+class Placed(Prepared):
+    """A cloud ``built`` in another frame than that of the model scan, which stands in it at
+    ``T_built_target`` (4, 4): nothing of it is built again, and ``align`` is given what was built.
+    """
+
+    built: Prepared
+    T_built_target: Array
+
+    def __init__(self, built: Prepared, T_built_target: Array, key: TargetKey = ()) -> None:
+        self.__dict__.update(
+            built=built,
+            T_built_target=T_built_target,
+            planar=built.planar,
+            native=None,  # it would be in another frame than `points`
+            key=key or built.key,
+        )
+
+    @cached_property
+    def points(self) -> Array:
+        """(N, 3) m in the model scan's frame."""
+        return transform(inverse(self.T_built_target), self.built.points)
+
+    @property
+    def size(self) -> int:
+        return self.built.size
+
+    def as_built(self, T_target_source: Array) -> tuple[Prepared, Array]:
+        return self.built.as_built(self.T_built_target @ T_target_source)
+
+
+class MapLimits(NamedTuple):
+    """What a running map forgets: what lies farther than ``max_range`` m from the newest scan, and
+    what none of the last ``horizon`` scans met. A library's map keeps to what it knows of these."""
+
+    max_range: float
+    horizon: int
+
+
+class RunningMap(ABC):
+    """A map of many scans in a frame of its own, kept up as their poses become known."""
+
+    @abstractmethod
+    def insert(self, scan: Prepared, T_map_scan: Array) -> None:
+        """Add a scan at its pose (4, 4) and forget what is out of range or long unused."""
+
+    @abstractmethod
+    def target(self) -> Prepared:
+        """What the next scan is registered to, in the map's frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +173,9 @@ class Alignment:
 
 
 class Backend(ABC):
-    """A registration method. ``max_correspondence_distance`` (m) is also the judge's radius;
-    ``voxel_size`` (m, 0: off) thins every scan before the method sees it."""
+    """A registration method. ``max_correspondence_distance`` (m) is also the judge's radius
+    unless ``judge_radius`` says otherwise; ``voxel_size`` (m, 0: off) thins every scan before the
+    method sees it."""
 
     requires: tuple[str, ...] = ()
     """Names of the Python packages that must be importable."""
@@ -156,12 +222,26 @@ class Backend(ABC):
         thinned = voxel_downsample(points, self.voxel_size)
         return self._prepared(thinned, scan.planar, ((scan.index, None),))
 
-    def merge(self, parts: Sequence[tuple[Prepared, Array]]) -> Prepared:
-        """One target out of several prepared scans, each with its T_target_part (4, 4)."""
+    def merge(
+        self, parts: Sequence[tuple[Prepared, Array]], voxel_size: float | None = None
+    ) -> Prepared:
+        """One target out of several prepared scans, each with its T_target_part (4, 4), thinned by
+        ``voxel_size`` m (None: as scans are)."""
         points = np.concatenate([transform(T, part.points) for part, T in parts])
-        thinned = voxel_downsample(points, self.voxel_size)
-        key = tuple((number, T.tobytes()) for part, T in parts for number, _ in part.key)
-        return self._prepared(thinned, all(part.planar for part, _ in parts), key)
+        thinned = voxel_downsample(points, self.voxel_size if voxel_size is None else voxel_size)
+        planar = all(part.planar for part, _ in parts)
+        own = b"" if voxel_size is None else np.float64(voxel_size).tobytes()
+        key = tuple((number, (T or b"") + own) for number, T in joined_key(parts))
+        return self._prepared(thinned, planar, key)
+
+    def join(self, parts: Sequence[tuple[Prepared, Array]]) -> Prepared:
+        """As ``merge``, without the work that was done for each part where a backend can keep it:
+        by default all points are prepared anew."""
+        return self.merge(parts)
+
+    def running_map(self, limits: MapLimits) -> RunningMap | None:
+        """A new, empty map of the library's own kind; None: it is given points of one of ours."""
+        return None
 
     def register(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
         """Register source to target from the initial guess ``T_target_source`` (4, 4).
@@ -172,9 +252,10 @@ class Backend(ABC):
         """
         guess = _checked_guess(source, target, T_target_source)
         name = type(self).__name__
+        built, start = target.as_built(guess)
         started = time.perf_counter()
         try:
-            alignment = self.align(source, target, guess)
+            alignment = self.align(source, built, start)
         except BackendError as error:
             raise BackendError(one_line(error)) from error.__cause__
         except PROGRAMMING_ERRORS:
@@ -182,6 +263,8 @@ class Backend(ABC):
         except Exception as error:
             raise BackendError(f"{name}: {type(error).__name__}: {one_line(error)}") from error
         seconds = time.perf_counter() - started
+        if built is not target:
+            alignment = _from_built(target, alignment)
         return checked_alignment(self, alignment, source.planar and target.planar, seconds)
 
     def _prepared(self, points: Array, planar: bool, key: TargetKey) -> Prepared:
@@ -190,6 +273,14 @@ class Backend(ABC):
                 f"scan {key[0][0]}: {len(points)} points: expected at least {MIN_POINTS}"
             )
         return Prepared(points, planar, self.build(points, planar), key)
+
+
+def _from_built(target: Prepared, alignment: Any) -> Any:
+    """An alignment to the cloud as it was built, in the target's frame."""
+    if not isinstance(alignment, Alignment) or np.shape(alignment.T_target_source) != (4, 4):
+        return alignment  # refused by `checked_alignment`
+    T_target_built = inverse(target.as_built(np.eye(4))[1])
+    return replace(alignment, T_target_source=T_target_built @ alignment.T_target_source)
 
 
 def checked_alignment(

@@ -51,10 +51,12 @@ class Window(NamedTuple):
 
 class Peak(NamedTuple):
     """The best pose (x, y, theta) of a window, its ``score`` (the mean likelihood of the source
-    points, 0 to 1), and the score of the best one apart from it, as a share of that."""
+    points, 0 to 1), that of the middle of the window, and the score of the best pose apart from
+    the best, as a share of its score."""
 
     pose: Array
     score: float
+    middle_score: float
     peak_ratio: float
 
 
@@ -110,13 +112,14 @@ def search(points: Array, field: Field, window: Window, apart: float, apart_turn
     reach = math.ceil(apart / field.size)
     step = window.turns[1] - window.turns[0] if len(window.turns) > 1 else math.pi
     turn_reach = math.ceil(apart_turn / max(step, FINEST)) if reach else -1
-    best, second = best_two(points, field, window, top, blocks, turn_reach, reach)
+    best, middle, second = best_two(points, field, window, top, blocks, turn_reach, reach)
     score, turn, row, column = best
     x = window.x + (column - window.cells) * field.size
     y = window.y + (row - window.cells) * field.size
     pose = np.array([x, y, window.theta + window.turns[turn]])
     ratio = max(second, 0) / score if reach and score > 0 else math.nan
-    return Peak(pose, score / (FULL * len(points)), ratio)
+    most = FULL * len(points)
+    return Peak(pose, score / most, middle / most, ratio)
 
 
 @kernel
@@ -128,15 +131,21 @@ def best_two(
     blocks: int,
     turn_reach: int,
     reach: int,
-) -> tuple[Place, int]:
-    """The best pose, and the score of the best one outside the zone around it (-1: none)."""
+) -> tuple[Place, int, int]:
+    """The best pose, the score of the middle of the window, and that of the best pose outside the
+    zone around the best (-1: none)."""
     left, low = places_of(points, field, window)
     bounds = first_bounds(field.levels[top], BITS[top], left, low, blocks)
     best = maximum(field, left, low, window, bounds, top, (0, 0, 0, -1, -1))
+    middle, sums = len(window.turns) // 2, np.zeros((1, 1), np.uint16)
+    for p in range(len(points)):
+        row, column = low[middle, p] + window.cells, left[middle, p] + window.cells
+        add_blocks(sums, field.levels[0], BITS[0], row, column)
     if turn_reach < 0:
-        return best, -1
+        return best, int(sums[0, 0]), -1
     zone = (best[1], best[2], best[3], turn_reach, reach)
-    return best, maximum(field, left, low, window, bounds, top, zone)[0]
+    second = maximum(field, left, low, window, bounds, top, zone)[0]
+    return best, int(sums[0, 0]), second
 
 
 @kernel

@@ -38,7 +38,7 @@ class KissICPSystem(System):
     ``max_iterations`` and ``convergence_criterion`` (norm of the last update, m and rad) are those
     of a registration. All defaults together are KISS-ICP's own.
 
-    There is no deskewing (scans have no times within), one thread, and no chance in it. Planar
+    Deskewing is done before (``deskew=true``), there is one thread, and no chance in it. Planar
     scans stay in the plane. The library says nothing of success: ``converged`` is False where the
     pose is the prediction because no point lay near the map, else None.
     """

@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, Le
 
-from rbtm_bench.backends.base import Alignment, Backend, Prepared
+from rbtm_bench.backends.base import Alignment, Backend, Prepared, joined_key
 from rbtm_bench.backends.plicp_covariance import motion_information
-from rbtm_bench.backends.plicp_match import PlicpSettings, Surface, match, shortened, surface_of
+from rbtm_bench.backends.plicp_match import (
+    PlicpSettings,
+    Surface,
+    joined_surface,
+    match,
+    shortened,
+    surface_of,
+)
 from rbtm_bench.backends.plicp_step import Matches, step_to_lines, step_to_points
 from rbtm_bench.core.errors import BackendError
-from rbtm_bench.core.geometry import se2, symmetric
+from rbtm_bench.core.geometry import se2, symmetric, transform, yaw
 from rbtm_bench.core.kernels import kernel
-from rbtm_bench.core.kinds import Distance, VoxelSize
+from rbtm_bench.core.kinds import Distance, Length, VoxelSize
 from rbtm_bench.core.types import Array
 
 Positive = Annotated[float, Gt(0)]
@@ -46,11 +54,16 @@ class PointToLineICP(Backend):
     source points with the same nearest target point, only the nearest; csm does so by default but
     for points up to 3 times as far.
 
-    Two parameters of ours. Segments are at least ``min_segment_length`` m long (0: to the next
-    point, as in csm), since two points closer together than the noise give no direction. And
-    limits as tight as csm's also drop the few good matches that tell the way along a corridor:
-    once the iterations have ended, the limit becomes ``outliers_refine_multiplier`` times the
-    adaptive distance alone, and they go on (0: they do not, as in csm).
+    Three parameters of ours. Matches nearer than ``trim_floor`` m are never trimmed before the
+    iterations have ended once (0: they may be, as in csm). Between scans of little noise most
+    matches, those on walls along the way, fit exactly whatever the guess; limits that follow from
+    them drop every match that tells the motion along those walls, and the scan stays at its guess.
+    The default is twice 10 mm of noise and 10 mm of the guess's error. Segments are at least
+    ``min_segment_length`` m long (0: to the next point, as in csm), since two points closer
+    together than the noise give no direction. And limits as tight as csm's also drop the few good
+    matches that tell the way along a corridor: once the iterations have ended, the limit becomes
+    ``outliers_refine_multiplier`` times the adaptive distance alone, and they go on
+    (0: they do not, as in csm).
 
     Iterations end with a step under ``epsilon_xy`` m and ``epsilon_theta`` rad, or where they come
     back to an earlier pose: then the pose with the least mean error since is taken.
@@ -84,6 +97,7 @@ class PointToLineICP(Backend):
         outliers_adaptive_multiplier: Positive = 2.0,
         outliers_refine_multiplier: Annotated[float, Ge(0)] = 3.0,
         outliers_remove_doubles: bool = False,
+        trim_floor: Length = 0.03,
         min_segment_length: Annotated[float, Ge(0)] = 0.1,
         fail_percent: Annotated[float, Ge(0), Le(1)] = 0.05,
         sigma: Positive = 0.01,
@@ -103,6 +117,7 @@ class PointToLineICP(Backend):
             refine_multiplier=outliers_refine_multiplier,
             remove_doubles=outliers_remove_doubles,
             min_share=fail_percent,
+            floor=trim_floor,
         )
         corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=np.float64)
         square = Prepared(corners, True, self.build(corners, True))
@@ -112,6 +127,15 @@ class PointToLineICP(Backend):
         if not planar:
             raise BackendError("plicp registers planar scans only")
         return surface_of(points, self.min_segment_length)
+
+    def join(self, parts: Sequence[tuple[Prepared, Array]]) -> Prepared:
+        """Points one after the other, segments as each scan has them; sorted along the axis that
+        suits the last."""
+        points = np.concatenate([transform(T, part.points) for part, T in parts])
+        last, T_target_last = parts[-1]
+        turn = last.native.turn - float(yaw(T_target_last))
+        surface = joined_surface(points, [part.native for part, _ in parts], turn)
+        return Prepared(points, True, surface, joined_key(parts))
 
     def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
         moving, surface = source.native, target.native

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -49,16 +50,37 @@ class PlicpSettings(NamedTuple):
     refine_multiplier: float
     remove_doubles: bool
     min_share: float
+    floor: float
 
 
 def surface_of(points: Array, min_length: float) -> Surface:
     """The surface through points (N, 3) m with segments of at least ``min_length`` m."""
     turn = float(axis_of_sorting(points))
+    ordered = sorted_turned(points, turn)
+    return Surface(ordered, sides_of(ordered.xy, min_length), turn)
+
+
+def joined_surface(points: Array, parts: Sequence[Surface], turn: float) -> Surface:
+    """The surface through the points (N, 3) m of several, one after the other, turned by ``turn``
+    rad: each keeps the segments that it had by itself."""
+    ordered = sorted_turned(points, turn)
+    place = np.empty(len(points) + 1, dtype=np.int64)
+    place[ordered.original] = np.arange(len(points))
+    place[-1] = -1
+    sides, start = np.empty((len(points), 2), dtype=np.int64), 0
+    for part in parts:
+        own = np.append(part.points.original + start, len(points))  # where -1 leads to
+        sides[own[:-1]] = own[part.sides]
+        start += len(part.sides)
+    return Surface(ordered, place[sides[ordered.original]], turn)
+
+
+def sorted_turned(points: Array, turn: float) -> Sorted2D:
+    """Points (N, 3) m turned by ``turn`` rad, sorted by x."""
     c, s = np.cos(turn), np.sin(turn)
     x, y = c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1]
     original = np.argsort(x, kind="stable").astype(np.int64)
-    ordered = Sorted2D(np.stack([x[original], y[original]], axis=1), original, 0)
-    return Surface(ordered, sides_of(ordered.xy, min_length), turn)
+    return Sorted2D(np.stack([x[original], y[original]], axis=1), original, 0)
 
 
 @kernel
@@ -159,10 +181,10 @@ def match(
         count += 1
     if settings.remove_doubles:
         count = remove_doubles(moved, target, matches, count)
+    order, floor = settings.adaptive_order, settings.floor
     if refines:
-        return trim(matches, count, 1.0, settings.adaptive_order, settings.refine_multiplier)
-    percent, multiplier = settings.max_percent, settings.adaptive_multiplier
-    return trim(matches, count, percent, settings.adaptive_order, multiplier)
+        return trim(matches, count, 1.0, order, settings.refine_multiplier, 0.0)
+    return trim(matches, count, settings.max_percent, order, settings.adaptive_multiplier, floor)
 
 
 @kernel
@@ -192,11 +214,11 @@ def remove_doubles(moved: Array, target: Array, matches: Matches, count: int) ->
 
 @kernel
 def trim(
-    matches: Matches, count: int, percent: float, order: float, multiplier: float
+    matches: Matches, count: int, percent: float, order: float, multiplier: float, floor: float
 ) -> tuple[int, float]:
-    """Drop the matches farther than the one at the share ``percent`` of them, or farther than
-    ``multiplier`` times the one at the share ``order``: how many are left, and their mean square
-    distance (m^2)."""
+    """Drop the matches farther than ``floor`` m that are farther than the one at the share
+    ``percent`` of them, or than ``multiplier`` times the one at the share ``order``: how many are
+    left, and their mean square distance (m^2)."""
     if count == 0:
         return 0, 0.0
     distance = matches.distance[:count]
@@ -205,6 +227,7 @@ def trim(
     place = int(count * percent)
     if place < count:
         limit = min(limit, np.partition(distance, place)[place])
+    limit = max(limit, floor)
     kept, total = 0, 0.0
     for m in range(count):
         if matches.distance[m] <= limit:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
 
-from rbtm_bench.backends.base import Alignment, Backend, Prepared
+from rbtm_bench.backends.base import Alignment, Backend, MapLimits, Prepared, RunningMap
 from rbtm_bench.backends.planar import lifted
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.geometry import se3, symmetric, to_plane
@@ -21,6 +22,8 @@ TRANSLATION_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
 """small_gicp's order is rx, ry, rz, x, y, z."""
 CYCLE = 100.0
 """Last steps up to this many times the epsilons are those of a cycle."""
+CLEAR_CYCLE = 10
+"""Scans after which a running map looks for what it may forget, the library's own number."""
 PLANAR_ROUND = 8
 """Iterations before a scan of upright walls is put back into the plane."""
 
@@ -28,12 +31,55 @@ PLANAR_ROUND = 8
 @dataclass(frozen=True, eq=False)
 class SmallCloud:
     """A scan in the library's own form. ``tree`` finds nearest points; the voxelised method looks
-    into ``voxels`` instead. ``layers`` is how often the cloud holds each point of the scan."""
+    into voxels of ``cell_size`` m instead. ``layers`` is how often the cloud holds each point."""
 
     cloud: Any
     tree: Any | None
-    voxels: Any | None
     layers: int
+    cell_size: float | None = None
+
+    @cached_property
+    def voxels(self) -> Any | None:
+        """The Gaussian voxels of the scan, made when it is first a target by itself."""
+        if self.cell_size is None:
+            return None
+        import small_gicp
+
+        voxels = small_gicp.GaussianVoxelMap(self.cell_size)
+        voxels.insert(self.cloud, se3(np.full(3, 0.5 * self.cell_size), np.eye(3)))
+        return voxels
+
+
+@dataclass(frozen=True, eq=False)
+class SmallVoxels:
+    """Nothing but the Gaussian voxels of many scans."""
+
+    voxels: Any
+
+
+class GaussianMap(RunningMap):
+    """small_gicp's ``GaussianVoxelMap``: voxels of ``cell_size`` m that none of the last
+    ``horizon`` scans met are forgotten every ``CLEAR_CYCLE`` scans, however far they are. Its
+    points are the means of the voxels."""
+
+    def __init__(self, cell_size: float, horizon: int) -> None:
+        import small_gicp
+
+        self._voxels = small_gicp.GaussianVoxelMap(cell_size)
+        self._voxels.set_lru(horizon=horizon, clear_cycle=CLEAR_CYCLE)
+        self._half, self._planar = 0.5 * cell_size, True
+
+    def insert(self, scan: Prepared, T_map_scan: Array) -> None:
+        T = T_map_scan.copy()
+        T[:3, 3] += self._half  # as `align` has it
+        self._voxels.insert(scan.native.cloud, T)
+        self._planar = self._planar and scan.planar
+
+    def target(self) -> Prepared:
+        points = self._voxels.voxel_points()[:, :3] - self._half
+        if self._planar:  # one of the two layers
+            points = points[points[:, 2] > 0.0] * [1.0, 1.0, 0.0]
+        return Prepared(np.ascontiguousarray(points), self._planar, SmallVoxels(self._voxels))
 
 
 class SmallGICP(Backend):
@@ -99,7 +145,7 @@ class SmallGICP(Backend):
 
         if self.method == "ICP":  # nothing else, so z = 0 is no trouble
             cloud = small_gicp.PointCloud(points)
-            return SmallCloud(cloud, small_gicp.KdTree(cloud), None, 1)
+            return SmallCloud(cloud, small_gicp.KdTree(cloud), 1)
         layers = 2 if planar else 1
         raised = lifted(points, self.cell_size) if planar else points
         cloud = small_gicp.PointCloud(raised)
@@ -112,11 +158,13 @@ class SmallGICP(Backend):
             else small_gicp.estimate_covariances
         )
         estimate(cloud, near, self.neighbours // layers * layers, 1)
-        voxels = None
-        if self.cell_size is not None:
-            voxels = small_gicp.GaussianVoxelMap(self.cell_size)
-            voxels.insert(cloud, se3(np.full(3, self.half_cell), np.eye(3)))
-        return SmallCloud(cloud, tree if voxels is None else None, voxels, layers)
+        return SmallCloud(cloud, None if self.cell_size else tree, layers, self.cell_size)
+
+    def running_map(self, limits: MapLimits) -> RunningMap | None:
+        """Gaussian voxels, for VGICP; the other methods compare points."""
+        if self.cell_size is None:
+            return None
+        return GaussianMap(self.cell_size, limits.horizon)
 
     def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
         cloud, model = source.native, target.native
@@ -145,7 +193,9 @@ class SmallGICP(Backend):
             library_fitness=result.num_inliers / cloud.cloud.size(),
         )
 
-    def _call(self, source: SmallCloud, target: SmallCloud, T: Array, iterations: int) -> Any:
+    def _call(
+        self, source: SmallCloud, target: SmallCloud | SmallVoxels, T: Array, iterations: int
+    ) -> Any:
         import small_gicp
 
         limits = {
@@ -155,7 +205,7 @@ class SmallGICP(Backend):
             "rotation_epsilon": self.rotation_epsilon,
             "translation_epsilon": self.translation_epsilon,
         }
-        if target.voxels is not None:
+        if isinstance(target, SmallVoxels) or target.voxels is not None:
             return small_gicp.align(target.voxels, source.cloud, T, **limits)
         return small_gicp.align(
             target.cloud, source.cloud, target.tree, T, registration_type=self.method, **limits

@@ -37,7 +37,9 @@ SYSTEM_LIBRARIES = "libusb-1.0-0 libgl1 libegl1 libx11-6 libidn2-0 libudev1"
 def list_plugins(words: list[str]) -> int:
     """``rbtm-bench list``: every plug-in, its parameters, and whether its library is installed."""
     from rbtm_bench.core.wording import shown
+    from rbtm_bench.datasets.published import PUBLISHED, state
     from rbtm_bench.runs.declared import PLUGIN_GROUPS
+    from rbtm_bench.runs.identity import flat
     from rbtm_bench.runs.settings import member_nodes
 
     parser = argparse.ArgumentParser(
@@ -45,7 +47,14 @@ def list_plugins(words: list[str]) -> int:
         description="Every plug-in of every group with its parameters and their defaults. "
         "'missing' says why one cannot be used.",
     )
-    parser.add_argument("group", nargs="?", choices=PLUGIN_GROUPS, help="only this group")
+    plural = {f"{group}s": group for group in PLUGIN_GROUPS}
+    parser.add_argument(
+        "group",
+        nargs="?",
+        choices=PLUGIN_GROUPS,
+        type=lambda word: plural.get(word, word),
+        help="only this group",
+    )
     parser.add_argument("--config-dir", "-cd", action="append", default=[], type=Path)
     parser.add_argument("--names", action="store_true", help="names only")
     options = parser.parse_args(words)
@@ -57,11 +66,13 @@ def list_plugins(words: list[str]) -> int:
             if options.names:
                 print(f"  {name}")
                 continue
+            if group == "dataset" and name in PUBLISHED:  # carmen's parameters, on other files
+                print(f"  {name:<18} [{state(name)}] {PUBLISHED[name].words}")
+                continue
             print(f"  {name:<18} {_about(group, name, node)}")
             if isinstance(node, dict):
-                for key, value in node.items():
-                    if key != "_target_":
-                        print(f"      {group}.{key}={shown(value)}")
+                for key, value in flat(node):
+                    print(f"      {group}.{key}={shown(value)}")
     return 0
 
 

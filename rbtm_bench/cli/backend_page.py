@@ -25,13 +25,28 @@ them. `rbtm-bench list backend` prints what is installed, plug-ins of yours incl
 Whatever the backend: `converged` is False with fewer than 3 inliers, 2D scans move in the plane
 only, fitness, inlier RMSE and localizability come from one evaluator ([metrics](metrics.md)), and a
 run is pinned to one core, without which Open3D does not repeat its bits.
+
+Lengths that easily become one number are settings of their own, each of which follows another until
+it is set:
+
+| setting (m) | of what | unless set |
+|---|---|---|
+| `registration.max_correspondence_distance` | correspondences, all backends | the data set's |
+| `backend.max_correspondence_distance` | correspondences of this backend | the one above |
+| `judge_radius` | fitness, RMSE and localizability | the backend's distance |
+| `backend.normal_radius` (`open3d_*`) | neighbours that make a normal | the backend's distance |
+| `backend.cell_size` (`small_gicp_vgicp`) | the target's cells | the backend's distance |
+| `backend.map_voxel_size` (`kiss_icp`) | the target's cells | the backend's distance |
+| `backend.voxel_size` | thinning of every scan | the data set's |
+| `target.voxel_size` (`local_map`) | thinning of the merged map | the backend's |
+| `backend.trim_floor` (`plicp...`) | what is not trimmed ([why](benchmarks.md)) | 0.03 |
 """
 TABLE = """
 | `backend=` | method | library | 2D | 3D | `converged` is true | repeats |
 |---|---|---|---|---|---|---|
 """
 SHARED = {
-    "max_correspondence_distance": "farthest correspondence, and the evaluator's radius",
+    "max_correspondence_distance": "farthest correspondence; the evaluator's unless `judge_radius`",
     "voxel_size": "0: every point",
 }
 

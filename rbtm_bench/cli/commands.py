@@ -17,6 +17,7 @@ usage: rbtm-bench COMMAND [key=value ...] [options]
 
 commands
   data      what is at a path, and how it is read:  rbtm-bench data aces.clf.gz
+  download  published logs:      rbtm-bench download aces, then dataset=aces
   run       one experiment:      rbtm-bench run backend=open3d_gicp selector=rbtm selector.window=20
   compare   a grid, one table:   rbtm-bench compare backend=none,open3d_p2p selector=previous,rbtm
   sweep     Hydra's multirun:    rbtm-bench sweep selector.threshold=0.6,0.7,0.8
@@ -95,6 +96,10 @@ def dispatch(words: list[str]) -> int:
         from rbtm_bench.cli.data import data
 
         return data(words)
+    if command == "download":
+        from rbtm_bench.cli.download import download
+
+        return download(words)
     if command in ("table", "plot"):
         from rbtm_bench.cli import results
 

@@ -20,6 +20,7 @@ COMMANDS = (
     "similarity",
     "calibrate",
     "data",
+    "download",
     "list",
     "doctor",
 )

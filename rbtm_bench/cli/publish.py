@@ -70,11 +70,12 @@ def export(words: list[str]) -> int:
     parser = argparse.ArgumentParser(
         prog="rbtm-bench export",
         description="A run for other programs: csv and parquet have a row a scan (stamp, pose and "
-        "how it got it: docs/metrics.md), tum has the trajectory alone (evo).",
+        "how it got it: docs/metrics.md), tum has the trajectory alone (evo), g2o the pose graph "
+        "of a run that closed loops.",
         epilog="example: rbtm-bench export results/compare/none-rbtm-seed=0 --to csv",
     )
     parser.add_argument("run", type=Path, metavar="RUN", help="a run's folder")
-    parser.add_argument("--to", required=True, choices=("csv", "parquet", "tum"))
+    parser.add_argument("--to", required=True, choices=("csv", "parquet", "tum", "g2o"))
     parser.add_argument(
         "--out", type=Path, metavar="FILE", help="default: the run's name, in this folder"
     )

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.report import frame
 from rbtm_bench.report.frame import MethodRuns
+from rbtm_bench.report.replicates import SHIFTED
 from rbtm_bench.runs import stored
 from rbtm_bench.runs.stored import Run
 
@@ -97,12 +98,21 @@ def _print_rows(
     kept = sorted(rows.index)
     methods = frame.methods(runs) if by_method else frame.methods([runs[i] for i in kept])
     methods = [methods[i] for i in kept] if by_method else methods
+    shown = rows if by_method else _without_rotations(rows)
     if by_method and not options.columns:
-        lines = screen.with_same(rows, render.SHORT, render.ALWAYS)
+        lines = screen.with_same(shown, render.SHORT, render.ALWAYS)
     else:
         keep = ["run", *render.ALWAYS, *best_settings.main_errors(rows)]
-        lines = render.fitted(*_columns(rows, options.columns, keep))
+        lines = render.fitted(*_columns(shown, options.columns, keep))
+    if len(shown) < len(rows):
+        lines.append(f"{len(rows) - len(shown)} runs of {SHIFTED} are one row of --over-seeds")
     print("\n".join([*lines, "", *answer.answer(methods, _places(options))]))
+
+
+def _without_rotations(rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows without those of one rotation each, unless there are no others."""
+    others = rows[rows["selector"] != SHIFTED]
+    return rows if others.empty else others
 
 
 def _places(options: argparse.Namespace) -> str:

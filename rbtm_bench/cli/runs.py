@@ -25,6 +25,9 @@ The folder (out=DIR) holds config.yaml, run.json, steps.parquet (a row a scan), 
 metrics.json, map.npz and, on data with relations, relations.parquet. An existing one is refused
 unless overwrite=true. time_limit=SECONDS ends a run that takes longer, memory_limit=MB one that
 has more memory resident.
+On logs and clouds selector.threshold=auto is the default: the highest threshold that decides, in
+the data's first part, nearly as many scans as any does; and keyframes are a tenth of the median
+range apart (docs/selection.md). run.json and the tables have the numbers.
 rbtm-bench list shows the choices; --cfg job prints the composed settings."""
 
 COMPARE_HELP = """\
@@ -36,7 +39,9 @@ examples
   rbtm-bench compare selector=rbtm,random_gap selector.threshold=0.6,0.8 seed=0,1,2,3,4
   rbtm-bench compare backend=open3d_p2p,plicp selector=previous,rbtm replicates=10
 
-selector=random_gap draws its gaps from the comparison's own rbtm run.
+selector=random_gap draws its gaps from the comparison's own rbtm run. A grid with rbtm gets its
+controls by itself, matched to rbtm's runs: previous, oldest, keyframe, fixed_gap and 19 rotations
+of rbtm's own gaps (docs/statistics.md); controls=none leaves them out.
 The folder (out=DIR) holds a run folder for every point, table.csv (a row a run) and summary.csv
 (a row a method, medians over seeds). replicates=N runs every point on N perturbed copies of the
 data as well: what "better" takes on a log (docs/statistics.md).
@@ -53,7 +58,8 @@ Hydra's multirun: every combination of the comma lists, with Hydra's own launche
 example
   rbtm-bench sweep backend=open3d_p2p,kiss_icp selector.threshold=0.6,0.7 hydra/launcher=joblib
 
-out=DIR is the folder of the sweep; its runs are DIR/0, DIR/1, ...
+out=DIR is the folder of the sweep; its runs are DIR/0, DIR/1, ... and the controls of rbtm
+(controls=none: none) DIR/0.oldest, ...
 
 A run that raises, kills its process, takes longer than time_limit=SECONDS or more memory than
 memory_limit=MB (default null: no limit) is a row marked failed, with its reason; the others go on,

@@ -20,7 +20,7 @@ of every scan with those that a window holds.
 
 examples
   rbtm-bench similarity                                             the embedded corridor
-  rbtm-bench similarity dataset=carmen dataset.path=aces.clf.gz dataset.stride=4
+  rbtm-bench similarity dataset=carmen dataset.path=aces.clf.gz similarity=curvature_circular
   rbtm-bench similarity dataset=carmen dataset.path=aces.clf.gz --band selector.window=100
   rbtm-bench similarity similarity=curvature dataset.range_noise=0
 

@@ -16,7 +16,10 @@ from rbtm_bench.core.errors import ConfigError, RbtmBenchError
 from rbtm_bench.runs import declared, plugins, settings
 from rbtm_bench.runs.experiment import build
 
-REQUIRED = {("selector", "random_gap"): ("selector.gaps=[1,2,3]",)}
+REQUIRED = {
+    ("selector", "random_gap"): ("selector.gaps=[1,2,3]",),
+    ("selector", "shifted_gap"): ("selector.gaps=[1,2,3]",),
+}
 """Settings without a default that a plug-in of ours cannot do without."""
 
 

@@ -69,8 +69,8 @@ def run(selector: Selector, scores: Scores, skip: frozenset[int] = frozenset()) 
     window = selector.window()
     selections = []
     for scan in range(SCANS):
-        if selector.needs_truth:
-            selector.see(scan_at(scan))
+        if selector.needs_truth or selector.needs_scans:
+            selector.see(scan_at(scan, truth=selector.needs_truth))
         if len(window):
             given = scores(scan, len(window))
             models, before, members = window.scans.copy(), given.copy(), list(window.nodes)

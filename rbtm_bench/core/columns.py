@@ -11,6 +11,7 @@ from itertools import groupby
 
 from rbtm_bench.core.column import Column, by_name, like
 from rbtm_bench.core.error_columns import ERRORS
+from rbtm_bench.core.loop_columns import LOOPS, looped
 from rbtm_bench.core.step_columns import COVERAGE, SUMS
 
 REFERENCES = {"_truth": "truth", "_still": "no motion"}
@@ -70,7 +71,15 @@ def _with_derived(columns: Iterable[Column]) -> Iterator[Column]:
             yield from (column for group in zip(*derived, strict=True) for column in group)
 
 
-COLUMNS = tuple(_with_derived([*COVERAGE, *ERRORS, *SUMS]))
+def _is_reference(column: Column) -> bool:
+    return column.name.endswith(tuple(REFERENCES))
+
+
+COLUMNS = (
+    *_with_derived([*COVERAGE, *ERRORS, *SUMS]),
+    *LOOPS,
+    *looped(column for column in _with_derived(ERRORS) if not _is_reference(column)),
+)
 KNOWN = by_name(COLUMNS)
 MAIN = tuple(sorted((c for c in COLUMNS if c.main), key=lambda column: column.main))
 """What methods are compared by: the first of these that the runs on a data set have."""

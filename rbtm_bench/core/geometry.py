@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
+from rbtm_bench.core.kernels import kernel
 from rbtm_bench.core.types import Array
 
 _IDENTITY = np.eye(4)
@@ -143,12 +144,35 @@ def voxel_downsample(points: Array, voxel_size: float) -> Array:
     """
     if voxel_size <= 0 or len(points) == 0:
         return points
-    keys = np.floor(points / voxel_size).astype(np.int64)
-    keys -= keys.min(axis=0)
-    extent = keys.max(axis=0) + 1
-    flat = (keys[:, 0] * extent[1] + keys[:, 1]) * extent[2] + keys[:, 2]
-    _, first, group, count = np.unique(
-        flat, return_index=True, return_inverse=True, return_counts=True
-    )
-    sums = np.stack([np.bincount(group, weights=points[:, i]) for i in range(3)], axis=1)
-    return (sums / count[:, None])[np.argsort(first, kind="stable")]
+    return _voxel_means(np.floor(points / voxel_size).astype(np.int64), points)
+
+
+@kernel
+def _voxel_means(cells: NDArray[np.int64], points: Array) -> Array:
+    """The mean of the points (N, 3) with the same cell (N, 3), in the order of their first."""
+    count, size = 0, 16
+    while size < 2 * len(points):
+        size *= 2
+    table, first = np.full(size, -1), np.empty(len(points), np.int64)
+    means, members = np.zeros((len(points), 3)), np.zeros(len(points))
+    for i in range(len(points)):
+        x, y, z = cells[i, 0], cells[i, 1], cells[i, 2]
+        place = (x * 73856093 ^ y * 19349663 ^ z * 83492791) & (size - 1)  # Teschner et al. 2003
+        while True:
+            k = table[place]
+            if k < 0:
+                k = count
+                table[place], first[k] = k, i
+                count += 1
+                break
+            f = first[k]
+            if cells[f, 0] == x and cells[f, 1] == y and cells[f, 2] == z:
+                break
+            place = (place + 1) & (size - 1)
+        members[k] += 1.0
+        for axis in range(3):
+            means[k, axis] += points[i, axis]
+    for k in range(count):
+        for axis in range(3):
+            means[k, axis] /= members[k]
+    return means[:count].copy()

@@ -11,7 +11,7 @@ or its config takes the run's own seed over (``seed: ${seed}``).
 from __future__ import annotations
 
 from enum import Enum
-from typing import Annotated
+from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
@@ -40,6 +40,9 @@ class Nuisance(Enum):
 
 
 Distance = Annotated[float, Gt(0), Nuisance.DISTANCE]
-VoxelSize = Annotated[float, Ge(0), Nuisance.DISTANCE]
+Length = Annotated[float, Ge(0), Nuisance.DISTANCE]
+VoxelSize = Length
 Threshold = Annotated[float, Ge(-1), Le(1), Nuisance.THRESHOLD]
 ShareThreshold = Annotated[float, Ge(0), Le(1), Nuisance.THRESHOLD]
+OpenThreshold = Threshold | Literal["auto"]
+"""A threshold, or "auto": a run takes it from the data's first part."""

@@ -30,12 +30,14 @@ STEPS = (
         "str",
         "",
         "first (the start), registered, fallback (the fallback's registration), skipped (no "
-        'candidate, fallback "skip"), predicted (every candidate was rejected), unusable (the '
-        "backend could not prepare the scan)",
+        'candidate, fallback "skip"), still (moved less than `motion_filter`), predicted (every '
+        "candidate was rejected), unusable (the backend could not prepare the scan)",
         "first",
     ),
     StepColumn("reason", "str", "", "why this model scan, or why none", ""),
     StepColumn("recovered", "str", "", "the restart it came from; empty: from the guess", ""),
+    StepColumn("target_scans", "int", "count", "scans that its target was made of"),
+    StepColumn("target_points", "int", "count", "points of the target"),
     StepColumn("converged", "bool", "", "whether the library says so; False below 3 inliers"),
     StepColumn("fitness", "float", "share", "source points with a target point in the radius"),
     StepColumn("inlier_rmse_m", "float", "m", "RMS distance of those"),
@@ -70,7 +72,7 @@ STEPS = (
     StepColumn("t_guess_s", "float", "s", "what the guess registers itself", 0.0),
     StepColumn("t_select_s", "float", "s", "scores and selection", 0.0),
     StepColumn("t_register_s", "float", "s", "the backend's registrations", 0.0),
-    StepColumn("t_search_s", "float", "s", "of that the search before the one believed"),
+    StepColumn("search_seconds", "float", "s", "of that the search before the one believed"),
     StepColumn("t_check_s", "float", "s", "judging and checking", 0.0),
 )
 """The columns of steps.parquet, a row a scan."""
@@ -118,6 +120,14 @@ SUMS = (
         table=True,
         screen=True,
         line="registrations rejected",
+    ),
+    Column(
+        "steps",
+        "still",
+        "count",
+        "scans that moved less than `motion_filter`: not registered, no part of `coverage`",
+        "steps",
+        table=True,
     ),
     Column(
         "steps",

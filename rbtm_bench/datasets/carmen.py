@@ -12,12 +12,15 @@ from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.association import nearest, span, time_suspicions
 from rbtm_bench.datasets.base import Dataset, Drops, Reading, Relations, beam_points
+from rbtm_bench.datasets.carmen_doubts import drifts, motion_doubts, relation_doubts
 from rbtm_bench.datasets.carmen_log import CarmenLog, parse_log, parse_relations
-from rbtm_bench.datasets.carmen_roles import Roles, find_roles
+from rbtm_bench.datasets.carmen_roles import UNTOLD, Roles, find_roles
 from rbtm_bench.datasets.carmen_sensor import (
     FARTHEST_READING,
+    far_doubt,
     find_angles,
     find_scale,
+    near_limit,
     no_return_limit,
 )
 from rbtm_bench.datasets.files import read_bytes, reader, unpacked_lines
@@ -94,8 +97,8 @@ class Carmen(Dataset):
         stamps = log.stamps if self.has_stamps else _nominal(path, log, order, relations)
         kept = _kept(path, stamps, roles.odometry, order, stride, min_distance, min_angle_deg)
         self._kept = kept[:max_scans]
-        self._sensor(path, log, scale, max_range, angles)
         self._min_range, self._ranges = float(min_range), log.ranges
+        self._sensor(path, log, scale, max_range, angles)
         self._drops = Drops()
         self.stamps: Array = stamps[self._kept]
         self.odometry = None if roles.odometry is None else planar_poses(roles.odometry[self._kept])
@@ -105,10 +108,17 @@ class Carmen(Dataset):
         self._relations = None if relations is None else parse_relations(relations, listed)
         self.readings += roles.readings
         self.suspicions += (*roles.suspicions, *time_suspicions(log.stamps))
+        for poses in (roles.odometry, roles.truth):
+            if poses is not None:
+                self.suspicions += motion_doubts(poses, log.stamps if self.has_stamps else None)
         if not self.has_stamps:
             self.suspicions += (f"the log has lost its times: {NOMINAL_STEP} s a scan are assumed",)
         if relations is not None and self._relations is not None:
             self.readings += (_matched(relations, self._relations, log.stamps),)
+            told = (self._relations, log.stamps, roles.odometry, RELATION_TOLERANCE)
+            self.suspicions += relation_doubts(*told)
+            if UNTOLD in self.suspicions and drifts(*told):
+                self.suspicions = tuple(text for text in self.suspicions if text != UNTOLD)
         settings = [VERSION, self.corrected, self.max_range, self._min_range, stride]
         settings += [float(min_distance), float(min_angle_deg), max_scans, order, on_error]
         settings += _unusual(log, self.angles, self.scale)
@@ -130,6 +140,8 @@ class Carmen(Dataset):
         if max_range is not None:
             limit, why = float(max_range), "as asked for"
         self.max_range = limit
+        near, count = near_limit(self.scale * sample) if self._min_range == 0.0 else (0.0, 0)
+        self._min_range = max(self._min_range, near)
         beams = find_angles(path, log, sample, angles)
         self.angles: Array = beams.angles
         taken = "none" if np.isinf(limit) else f"from {limit:g} m on"
@@ -142,9 +154,14 @@ class Carmen(Dataset):
             Reading("no return", taken, why, "max_range"),
             beams.reading,
         )
+        if near:
+            why = f"{count} readings are {near:g} m, all alone"
+            self.readings += (Reading("no return", f"up to {near:g} m", why, "min_range"),)
         if self.scale != 1.0:
             self.readings += (Reading("unit", f"{self.scale:g} m", "as asked for", "scale"),)
         self.suspicions = beams.suspicions
+        if max_range is None:
+            self.suspicions += far_doubt(self.scale * sample, limit)
 
     def __len__(self) -> int:
         return len(self._kept)

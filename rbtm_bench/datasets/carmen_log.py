@@ -29,6 +29,8 @@ from rbtm_bench.datasets.files import data_lines, quoted, to_numbers
 SAMPLE = 1 << 22
 """Readings that are looked at to find out what a value means."""
 
+SWITCH = {"on": 1.0, "true": 1.0, "yes": 1.0, "off": 0.0, "false": 0.0, "no": 0.0}
+
 _LASERS = {name.encode(): name for name in LASERS}
 
 
@@ -63,13 +65,20 @@ class CarmenLog:
     skipped: int
 
     def param(self, *names: str) -> float | None:
-        """The first of these PARAMs that is set to a number."""
+        """The first of these PARAMs that is set to a number, or to on or off."""
         for name in names:
+            value = self.params.get(name, "")
             try:
-                return float(self.params[name])
-            except (KeyError, ValueError):
+                return SWITCH.get(value.lower()) if value.lower() in SWITCH else float(value)
+            except ValueError:
                 continue
         return None
+
+    def laser_param(self, setting: str, rear: bool = False) -> float | None:
+        """A PARAM of the front (or rear) laser by CARMEN's old or newer name."""
+        side, number = ("rear", 2) if rear else ("front", 1)
+        places = (f"laser_{side}_laser", f"laser_laser{number}", f"laser{number}")
+        return self.param(*(f"{place}_{setting}" for place in places))
 
 
 class RangeFile:
@@ -249,6 +258,9 @@ def parse_relations(path: str, content: bytes) -> Relations:
     if not rows:
         raise DataError(f"{path}: no relation in the file")
     table = np.array(rows)
+    largest = float(np.abs(table[:, 5:]).max())
+    if largest > 2 * np.pi + 0.01:
+        raise DataError(f"{path}: angles up to {largest:.4g}: expected rad, degrees found?")
     T_start_end = np.tile(np.eye(4), (len(table), 1, 1))
     T_start_end[:, :3, :3] = Rotation.from_euler("ZYX", table[:, [7, 6, 5]]).as_matrix()
     T_start_end[:, :3, 3] = table[:, 2:5]

@@ -33,6 +33,9 @@ MOST, HARDLY = 0.9, 0.5
 """Shares of scans from which on something holds, and below which it does not."""
 KEYFRAME_M, KEYFRAME_RAD = 0.3, np.deg2rad(15)
 """Steps between the scans of a log that was thinned by a SLAM program are this long, or more."""
+BESIDE = "on the path of the ODOM lines,"
+UNTOLD = "no ODOM line tells whether the poses are odometry or corrected (dataset.corrected=)"
+NO_ODOM = "no ODOM line to compare with"
 SLAM_WORD = "NEFF"
 """What gmapping writes into the logs that it has corrected."""
 
@@ -55,6 +58,11 @@ def find_roles(path: str, log: CarmenLog, corrected: Literal["auto"] | bool) -> 
         return _without_poses(path, log, mount)
     apart = between(log.robot_poses, log.laser_poses)
     one_path = bool(_near(apart - np.median(apart, axis=0), MOUNT_M, MOUNT_RAD).mean() > MOST)
+    if corrected == "auto" and not one_path and _swapped(log):
+        why = "the first triple is on the path of the ODOM lines, the second leaves it"
+        truth = Reading("truth", f"poses of {log.message}, the second triple", why, "corrected")
+        readings = (_odometry("the first triple", why), truth)
+        return Roles(True, log.laser_poses, log.robot_poses, readings)
     if corrected == "auto":
         corrected, why = _decided(path, log, one_path)
     else:
@@ -62,11 +70,15 @@ def find_roles(path: str, log: CarmenLog, corrected: Literal["auto"] | bool) -> 
     kind = f"poses of {log.message}"
     if not corrected:
         odometry, note = log.laser_poses, "the laser's"
-        if np.any(mount) and _near(apart, SAME, SAME).mean() > MOST:
+        at_laser = BESIDE in why
+        if np.any(mount) and not at_laser and _near(apart, SAME, SAME).mean() > MOST:
             odometry, note = compose(odometry, mount), f"moved to the laser by {_place(mount)}"
         taken = f"{kind}, {note}"
         readings = (_odometry(taken, why), Reading("truth", "none", "", "corrected"))
-        return Roles(False, odometry, None, readings, _stillness(odometry))
+        doubts = _stillness(odometry)
+        if why == NO_ODOM:
+            doubts += (UNTOLD,)
+        return Roles(False, odometry, None, readings, doubts)
     truth = Reading("truth", f"{kind}, the first triple", why, "corrected")
     raw, source = _beside_truth(log, one_path)
     taken, why = ("none", source) if raw is None else (source, "")
@@ -100,6 +112,14 @@ def _without_poses(path: str, log: CarmenLog, mount: Array) -> Roles:
     return Roles(False, odometry, None, readings, _stillness(odometry))
 
 
+def _swapped(log: CarmenLog) -> bool:
+    """Whether the first triple follows the ODOM lines, and the second does not."""
+    if len(log.odom) == 0 or log.laser_poses is None or log.robot_poses is None:
+        return False
+    first, second = (_on_path(log, p).mean() for p in (log.laser_poses, log.robot_poses))
+    return bool(first >= MOST and second <= HARDLY)
+
+
 def _decided(path: str, log: CarmenLog, one_path: bool) -> tuple[bool, str]:
     """Whether the log is corrected, and what says so."""
     by_slam = SLAM_WORD in log.words
@@ -108,7 +128,7 @@ def _decided(path: str, log: CarmenLog, one_path: bool) -> tuple[bool, str]:
     if len(log.odom) == 0:
         if by_slam:
             return True, f"a SLAM program's {SLAM_WORD} lines"
-        return False, "no ODOM line to compare with"
+        return False, NO_ODOM
     before, after = _around(log)
     robot = log.robot_poses
     assert robot is not None
@@ -118,9 +138,14 @@ def _decided(path: str, log: CarmenLog, one_path: bool) -> tuple[bool, str]:
         return True, f"a SLAM program's {SLAM_WORD} lines"
     if _near(between(after, robot), SAME, SAME).mean() > HARDLY:
         return _jumps(path, log)
-    on_path = float(_on_path(log).mean())
+    on_path = float(_on_path(log, robot).mean())
     if on_path >= MOST:
         return False, f"on the path of the ODOM lines ({on_path:.0%})"
+    ahead = np.median(between(before, robot), axis=0)
+    beside = float(_on_path(log, compose(robot, between(ahead, np.zeros(3)))).mean())
+    if beside >= MOST:
+        place = f"({ahead[0]:.2f}, {ahead[1]:.2f}) m"
+        return False, f"{BESIDE} at {place} from the robot ({beside:.0%})"
     if on_path <= HARDLY:
         return True, f"off the path of the ODOM lines ({1 - on_path:.0%})"
     raise _unsure(path, f"{on_path:.0%} of the scans' poses lie on the path of the ODOM lines")
@@ -162,10 +187,9 @@ def _around(log: CarmenLog) -> tuple[Array, Array]:
     return log.odom[(after - 1).clip(0, last)], log.odom[after.clip(0, last)]
 
 
-def _on_path(log: CarmenLog) -> NDArray[np.bool_]:
-    """(S,) whose pose lies on a step between ODOM lines around the scan, in place and heading."""
-    robot = log.robot_poses
-    assert robot is not None
+def _on_path(log: CarmenLog, robot: Array) -> NDArray[np.bool_]:
+    """(S,) which of the scans' poses ``robot`` (S, 3) lie on a step between ODOM lines around the
+    scan, in place and heading."""
     after, last = log.odom_before[log.good], len(log.odom) - 1
     found = np.zeros(len(robot), dtype=bool)
     for offset in range(-LINES_AROUND, LINES_AROUND + 1):

@@ -39,6 +39,10 @@ FARTHEST_READING = 1e4
 FARTHEST_MEDIAN = 100.0
 """m; a planar laser on a robot has half of its readings within this."""
 
+NEAR_M, NEAR_SHARE = 0.1, 0.01
+"""m and share of the readings: a value that means no return at the near end."""
+UNLIKE = 0.1
+"""Share that the spacing and the field of view of a message may contradict each other by."""
 SETTINGS = ("start", "fov", "resolution")
 TURN_DEG = (3.0, 20.0)
 STEP_SHARE = 0.05
@@ -79,9 +83,12 @@ def no_return_limit(log: CarmenLog, sample: Array, scale: float = 1.0) -> tuple[
     however rare and long those beyond it are.
     """
     limit, reasons = np.inf, []
-    own = log.param(SENSOR_MAX_PARAM)
-    if own is not None and own > 0:
-        limit, reasons = own, [f"PARAM {SENSOR_MAX_PARAM}"]
+    for own, name in (
+        (log.param(SENSOR_MAX_PARAM), SENSOR_MAX_PARAM),
+        (log.laser_param("maxrange", log.message == "RLASER"), "laser_front_laser_maxrange"),
+    ):
+        if own is not None and 0 < own < limit:
+            limit, reasons = own, [f"PARAM {name}"]
     if log.laser is not None and 0 < log.laser.max_range < limit:
         limit, reasons = log.laser.max_range, [f"{log.message}'s maximum range"]
     spike, count = lone_value(scale * sample)
@@ -112,6 +119,38 @@ def lone_value(readings: Array) -> tuple[float | None, int]:
             continue
         found, total = value, total + count
     return found, total
+
+
+def near_limit(readings: Array) -> tuple[float, int]:
+    """The shortest reading (m), if it means "no return" (many share it and hardly any is up to
+    three times as long), and how many there are; else 0, 0."""
+    hits = readings[np.isfinite(readings) & (readings > 0)]
+    if len(hits) == 0:
+        return 0.0, 0
+    low = float(hits.min())
+    count = int(np.count_nonzero(hits == low))
+    beside = int(np.count_nonzero((hits > low) & (hits < 3 * low)))
+    enough = count > max(NO_RETURN_READINGS, NEAR_SHARE * len(hits))
+    return (low, count) if low < NEAR_M and enough and beside < 0.1 * count else (0.0, 0)
+
+
+def far_doubt(readings: Array, limit: float) -> tuple[str, ...]:
+    """A word on readings that are far beyond all others and near each other."""
+    hits = np.sort(readings[np.isfinite(readings) & (readings > 0) & (readings < limit)])
+    if len(hits) < NO_RETURN_READINGS:
+        return ()
+    share = max(1, int(NEAR_SHARE * len(hits)))
+    at = int(np.argmax(hits[1:] / hits[:-1]))
+    beyond = len(hits) - 1 - at
+    if hits[at + 1] < 2 * hits[at] or not share <= beyond < len(hits) // 2:
+        return ()
+    if hits[-1] > 1.05 * hits[at + 1]:
+        return ()
+    return (
+        f"{beyond} readings are {hits[at + 1]:.4g} to {hits[-1]:.4g} m, and none from "
+        f"{hits[at]:.4g} m on: no return? dataset.max_range={0.99 * hits[at + 1]:.3g} leaves "
+        "them out",
+    )
 
 
 def find_angles(
@@ -175,11 +214,15 @@ def _claims(log: CarmenLog, beams: int) -> list[tuple[float, float, str]]:
                 spacing = fov / gaps
                 break
         if abs(spacing) * (beams - 1) <= 361 and spacing != 0:
-            return [(float(start), float(spacing), f"{log.message}'s settings")]
+            claims = [(float(start), float(spacing), f"{log.message}'s settings")]
+            by_fov = float(fov) / max(beams - 1, 1)
+            if 0 < by_fov * (beams - 1) <= 361 and abs(by_fov / abs(spacing) - 1) > UNLIKE:
+                claims.append((float(start), by_fov, f"{log.message}'s field of view"))
+            return claims
     claims = []
-    side = "rear" if log.message == "RLASER" else "front"
-    resolution = log.param(f"laser_{side}_laser_resolution")
-    fov = log.param(f"laser_{side}_laser_fov")
+    rear = log.message == "RLASER"
+    resolution = log.laser_param("resolution", rear)
+    fov = log.laser_param("fov", rear)
     if fov is not None and fov <= 2 * np.pi + 1e-3:
         fov = float(np.degrees(fov))
     if resolution is None and fov is not None and beams > 1:
@@ -204,7 +247,7 @@ def _flipped(
 ) -> list[tuple[float, float, str]]:
     """With PARAM flipped: CARMEN turns the readings of a laser upside down before it logs them,
     other programs do not, so both are possible, the mirrored one first."""
-    if not log.param("laser_front_laser_flipped"):
+    if not log.laser_param("flipped", log.message == "RLASER"):
         return claims
     mirrored = [
         (first + spacing * (beams - 1), -spacing, f"{why}, PARAM flipped")

@@ -1,4 +1,4 @@
-"""Read one point cloud file (.ply, .pcd, .bin, .npy, or text), or say what is wrong with it.
+"""Read one cloud file (.ply, .pcd, .bin, .npy, .las, .laz, text), or say what is wrong with it.
 
 Headers are read first and held against the file's size; the points follow from what they say.
 """
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.types import Array
-from rbtm_bench.datasets import pcd_file, ply_file
+from rbtm_bench.datasets import las_file, pcd_file, ply_file
 from rbtm_bench.datasets.binary_layouts import LAYOUTS, absurd, read_layout
 from rbtm_bench.datasets.files import file_size, reader
 from rbtm_bench.datasets.text_cloud import read_text
 
-SUFFIXES = (".ply", ".pcd", ".bin", ".npy", ".xyz")
+SUFFIXES = (".ply", ".pcd", ".bin", ".npy", ".xyz", ".las", ".laz")
 TEXT = (".xyz", ".csv", ".txt")
 """Of these .csv and .txt may be trajectories as well: they are clouds where a pattern says so."""
 
@@ -55,6 +55,8 @@ def read_points(
         return _npy_points(path, columns)
     if suffix in TEXT:
         return _text_points(path, columns)
+    if suffix in las_file.SUFFIXES:
+        return las_file.read_las(path)
     return ply_file.read_ply(path) if suffix == ".ply" else pcd_file.read_pcd(path)
 
 
@@ -116,7 +118,15 @@ def _open_npy(path: Path) -> NDArray[np.generic]:
 def usable(
     path: Path, points: Array, min_range: float = 0.0, max_range: float = np.inf
 ) -> tuple[Array, dict[str, int]]:
-    """The points (N, 3) m that are returns within range, and how many others there are by cause.
+    """The points (N, 3) m that are returns within range, and how many others there are by cause."""
+    mask, causes = returns(path, points, min_range, max_range)
+    return points[mask], causes
+
+
+def returns(
+    path: Path, points: Array, min_range: float, max_range: float
+) -> tuple[NDArray[np.bool_], dict[str, int]]:
+    """Which (N,) of the points (N, 3) m are returns within range; how many are not, by cause.
 
     A point in the sensor itself is how organised clouds write "no return". Raises ``DataError``
     if none is left, or so many are implausible that the file must be something else.
@@ -132,8 +142,8 @@ def usable(
             f"{path}: {np.count_nonzero(bad)} of {len(points)} points are beyond 10 km or next to "
             "nothing: another layout, byte order or unit (dataset.layout=, dataset.scale=)?"
         )
-    kept: Array = points[good & ~near & ~far]
-    if len(kept) == 0:
+    kept = good & ~near & ~far
+    if not kept.any():
         raise DataError(f"{path}: no point within range ({len(points)} points in the file)")
     causes = {"not_finite": ~finite, "implausible": bad, "too_near": near, "too_far": far}
     return kept, {cause: int(np.count_nonzero(mask)) for cause, mask in causes.items()}

@@ -18,12 +18,16 @@ from rbtm_bench.datasets.cloud_files import SUFFIXES, TEXT, check_file, read_poi
 from rbtm_bench.datasets.cloud_frame import find_frame
 from rbtm_bench.datasets.cloud_times import Matched, list_files, match_poses, times_of
 from rbtm_bench.datasets.files import reader
+from rbtm_bench.datasets.truth_fit import truth_doubt
 
 VERSION = "cloud-folder-1"
 """Part of the fingerprint: change it whenever the same files and settings give other scans."""
 
 LAYOUT = Literal["auto", "kitti", "nuscenes", "boreas", "nclt", "xyz", "xyz64", "xyzi64"]
 Index = Annotated[int, Ge(0)]
+
+FEW_STEPS = 5
+"""Clouds at the start among which truth is held against the clouds."""
 
 
 class CloudFolder(Dataset):
@@ -92,6 +96,8 @@ class CloudFolder(Dataset):
         self._frame = find_frame(path, *self._samples(), scale, frame)
         self.readings += self._frame.readings
         self.suspicions += self._frame.suspicions
+        if self._frame.way == "sensor":
+            self.suspicions += self._truth_doubts()
         self._settings = [VERSION, self.min_range, self.max_range, on_error]
         self._settings += self._frame.unusual()
         self._settings += [] if self._layout == "kitti" else [self._layout]
@@ -159,6 +165,20 @@ class CloudFolder(Dataset):
             clouds.append(points)
             poses.append(self._truth(i))
         return clouds, poses
+
+    def _truth_doubts(self) -> tuple[str, ...]:
+        """Whether the first cloud and one a few steps on fit each other otherwise than by truth."""
+        known = [i for i in range(min(len(self.files), FEW_STEPS)) if self._truth(i) is not None]
+        if len(known) < 2:
+            return ()
+        ends = (known[0], known[-1])
+        try:
+            clouds = [read_points(self.files[i], self._layout, self._columns) for i in ends]
+        except DataError:
+            return ()  # raised where the scan is asked for
+        poses = [T for i in ends if (T := self._truth(i)) is not None]
+        doubt = truth_doubt([self._frame.metres(c, None) for c in clouds], poses)
+        return (doubt,) if doubt else ()
 
     def _truth(self, index: int) -> Array | None:
         if self.ground_truth is None or not np.isfinite(self.ground_truth[index, 0, 0]):

@@ -21,6 +21,9 @@ AWAY, AWAY_TIMES = 1e3, 20.0
 """Points lie in a frame of the world if they are so far (m) from its origin, and so many times
 farther than from each other: the sensor is among the points that it sees."""
 
+COARSE = 0.01
+"""m; coordinates of a single precision far from the origin are farther apart."""
+
 Way = Literal["sensor", "poses", "shift"]
 
 
@@ -94,6 +97,12 @@ def _world(
     readings: tuple[Reading, ...],
     asked: str,
 ) -> Frame:
+    coarse = max(_step(points) for points in clouds)
+    doubts: tuple[str, ...] = ()
+    if coarse > COARSE:
+        doubts = (
+            f"coordinates lie {coarse:.2g} m apart at least: numbers too short for the world's",
+        )
     known = [(c, T) for c, T in zip(clouds, poses, strict=False) if T is not None]
     back = [np.median(np.linalg.norm(transform(inverse(T), c), axis=1)) for c, T in known]
     where = "as asked for"
@@ -103,7 +112,7 @@ def _world(
     if back and max(back) < FAR and len(back) == len(clouds):
         taken = "the world's, brought to the sensor by the true poses"
         reading = Reading("frame", taken, where, "frame")
-        return Frame(unit, "poses", np.zeros(3), (*readings, reading))
+        return Frame(unit, "poses", np.zeros(3), (*readings, reading), doubts)
     shift = np.round(centre)
     taken = f"the world's, less ({', '.join(f'{v:.0f}' for v in shift)}) m"
     doubt = (
@@ -111,8 +120,14 @@ def _world(
         "registration between them is no motion of the sensor"
     )
     return Frame(
-        unit, "shift", shift, (*readings, Reading("frame", taken, where, "frame")), (doubt,)
+        unit, "shift", shift, (*readings, Reading("frame", taken, where, "frame")), (doubt, *doubts)
     )
+
+
+def _step(points: Array) -> float:
+    """The smallest distance (m) of different coordinates along the axis that is coarsest."""
+    steps = [np.diff(np.unique(points[:, axis])) for axis in range(3)]
+    return max((float(step.min()) for step in steps if len(step)), default=0.0)
 
 
 def _units(middle: float) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -45,8 +46,9 @@ def list_files(path: str, pattern: str, suffixes: Sequence[str]) -> list[Path]:
         )
     names = [file.relative_to(folder).as_posix() for file in files]
     numbers = [decimal(name) for name in names]
-    if None not in numbers and len(set(numbers)) == len(numbers):
-        return [file for _, file in sorted(zip(numbers, files, strict=True))]
+    keys = [number[:2] for number in numbers if number is not None]
+    if len(set(keys)) == len(files) and any(number and number[2] for number in numbers):
+        return [file for _, file in sorted(zip(keys, files, strict=True))]
     return [file for _, file in sorted(zip(map(natural_key, names), files, strict=True))]
 
 
@@ -54,10 +56,16 @@ def _hidden(file: Path, folder: Path) -> bool:
     return any(part.startswith(".") for part in file.relative_to(folder).parts)
 
 
-def decimal(name: str) -> tuple[str, int, str] | None:
-    """A key that sorts names of one decimal number by it (1.4 after 1.35), None for others."""
-    match = re.fullmatch(r"([^\d]*)(\d+)\.(\d+)((?:\.[a-zA-Z]+)+)", name)
-    return (match[1], int(match[2]), match[3].rstrip("0")) if match else None
+def decimal(name: str) -> tuple[str, Decimal, bool] | None:
+    """What stands before the one number of a name, the number (1.4 after 1.35, -1 before 0), and
+    whether it has a point; None for names with another number or none. A dash is a sign where
+    nothing stands before it."""
+    match = re.fullmatch(r"(-|\D*)(\d+)(?:\.(\d+))?(?:\.[a-zA-Z]+)+", name)
+    if match is None:
+        return None
+    before, whole, fraction = match.groups()
+    sign, before = ("-", "") if before == "-" else ("", before)
+    return before, Decimal(f"{sign}{whole}.{fraction or 0}"), fraction is not None
 
 
 def natural_key(name: str) -> tuple[list[str | int], str]:
@@ -67,18 +75,21 @@ def natural_key(name: str) -> tuple[list[str | int], str]:
 
 
 def times_of(files: Sequence[Path]) -> Array | None:
-    """Times (N,) s that the names are: decimal numbers, or as many digits as times have."""
-    times = []
-    for file in files:
-        match = re.fullmatch(r"\D*?(\d+)(?:\.(\d+))?(?:\.[a-zA-Z]+)+", file.name)
-        if match is None:
-            return None
-        whole, fraction = match[1], match[2]
-        unit = UNITS.get(len(whole)) if fraction is None else 1.0
-        if unit is None:
-            return None
-        times.append(float(f"{whole}.{fraction or 0}") * unit)
-    return np.array(times)
+    """Times (N,) s that the names are: decimal numbers, as many digits as times since 1970 have,
+    or seconds_nanoseconds."""
+    split = [re.fullmatch(r"\D*(\d{10})_(\d{9})(?:\.[a-zA-Z]+)+", file.name) for file in files]
+    pairs = [(int(match[1]), int(match[2])) for match in split if match]
+    if len(pairs) == len(files):
+        return np.array([seconds + 1e-9 * nano for seconds, nano in pairs])
+    numbers = [number[1:] for file in files if (number := decimal(file.name)) is not None]
+    if len(numbers) < len(files):
+        return None
+    if any(has_point for _, has_point in numbers):
+        return np.array([float(number) for number, _ in numbers])
+    units = [UNITS.get(len(str(int(number)))) for number, _ in numbers]
+    if None in units or min(number for number, _ in numbers) < 0:
+        return None
+    return np.array([float(n) * (u or 1.0) for (n, _), u in zip(numbers, units, strict=True)])
 
 
 @dataclass(frozen=True, eq=False)

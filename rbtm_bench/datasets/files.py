@@ -30,6 +30,7 @@ UNPACKED_ALWAYS, UNPACKED_TIMES = 64 << 20, 100
 WHOLE_FILE = 1 << 30
 """Bytes of a file that is read as a whole."""
 BOM = b"\xef\xbb\xbf"
+UTF16 = (b"\xff\xfe", b"\xfe\xff")
 LARGEST_NUMBER = 1e19
 """Beyond any time (ns since 1970 have 19 digits), length or angle in a file."""
 
@@ -81,7 +82,13 @@ def read_bytes(path: str | Path) -> bytes:
     """
     if file_size(path) > WHOLE_FILE:
         raise DataError(f"{path}: larger than {WHOLE_FILE} bytes, expected a short text")
-    return b"".join(unpacked_lines(path, hashlib.sha256()))
+    content = b"".join(unpacked_lines(path, hashlib.sha256()))
+    if content.startswith(UTF16):
+        try:
+            return content.decode("utf-16").removeprefix("\ufeff").encode()
+        except UnicodeDecodeError:
+            raise DataError(f"{path}: a byte order mark of UTF-16, but no such text") from None
+    return content
 
 
 def unpacked_lines(path: str | Path, digest: hashlib._Hash) -> Iterator[bytes]:

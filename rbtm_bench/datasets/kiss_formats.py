@@ -33,14 +33,18 @@ Times = Callable[[Path, Any, list[Path]], Array | None]
 @dataclass(frozen=True)
 class Format:
     """A loader: ``files`` and ``times`` (s; None if unknown) of its scans, ``truth`` of a loader
-    (N, 4, 4), NaN where unknown, ``points`` of a file where not the loader's own, and whether it
-    asks for a ``sequence``."""
+    (N, 4, 4), NaN where unknown, ``points`` of a file where not the loader's own, whether it
+    asks for a ``sequence``, whether its path is ``one_file`` that holds all scans, and the maker's
+    ``module`` and ``package`` that it needs."""
 
     files: Callable[[Path, Any], list[Path]]
     times: Times
     truth: Callable[[Path, Any, Array | None, float], Array | None]
     points: Callable[[Path, Any], Array] | None = None
     sequence: bool = False
+    one_file: bool = False
+    module: str = ""
+    package: str = ""
 
 
 def scan_files(path: Path, loader: Any) -> list[Path]:
@@ -54,6 +58,31 @@ def _ncd_files(path: Path, loader: Any) -> list[Path]:
 
 def _tum_files(path: Path, loader: Any) -> list[Path]:
     return [path / str(row[-1]) for row in loader.depth_frames]
+
+
+def _nuscenes_records(loader: Any) -> list[Any]:
+    return [loader.nusc.get("sample_data", token) for token in loader.lidar_tokens]
+
+
+def _nuscenes_files(path: Path, loader: Any) -> list[Path]:
+    return [path / str(record["filename"]) for record in _nuscenes_records(loader)]
+
+
+def _nuscenes_times(path: Path, loader: Any, files: list[Path]) -> Array | None:
+    return np.array([1e-6 * float(record["timestamp"]) for record in _nuscenes_records(loader)])
+
+
+def _nuscenes_points(file: Path, loader: Any) -> Array:
+    return read_layout(file, "nuscenes")
+
+
+def _packets(path: Path, loader: Any) -> list[Path]:
+    """The one file of all scans, once a scan."""
+    return [path] * len(loader)
+
+
+def _unknown(path: Path, loader: Any, files: list[Path]) -> Array | None:
+    return None
 
 
 def _by_name(path: Path, loader: Any, files: list[Path]) -> Array | None:
@@ -177,6 +206,18 @@ FORMATS = {
         _by_name,
         _in_time(lambda path: path.parent / "ground_truth" / f"groundtruth_{path.name}.csv", 1e-6),
         _nclt_points,
+    ),
+    "nuscenes": Format(
+        _nuscenes_files,
+        _nuscenes_times,
+        _own,
+        _nuscenes_points,
+        sequence=True,
+        module="nuscenes",
+        package="nuscenes-devkit",
+    ),
+    "ouster": Format(
+        _packets, _unknown, _none, one_file=True, module="ouster", package="ouster-sdk"
     ),
     "tum": Format(_tum_files, _tum_times, _tum_truth),
 }

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib.util
 import io
 import warnings
 from collections.abc import Callable, Sequence
@@ -24,7 +25,7 @@ from rbtm_bench.core.trajectory import orthonormalised
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.association import time_suspicions
 from rbtm_bench.datasets.base import Dataset, Drops, Reading
-from rbtm_bench.datasets.cloud_files import usable
+from rbtm_bench.datasets.cloud_files import returns
 from rbtm_bench.datasets.files import file_size, reader
 from rbtm_bench.datasets.kiss_formats import FORMATS
 
@@ -35,7 +36,7 @@ POSE_TOLERANCE = 1e-3
 """How far from orthonormal a loader's rotations may be: some files have six digits."""
 
 
-Index = Annotated[int, Ge(0), Le(10)]
+Index = Annotated[int, Ge(0), Le(9999)]
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,8 @@ def quietly(name: str, path: str | Path, ask: Callable[[], Any]) -> Any:
 
 
 class KissDataset(Dataset):
-    """The frames of a loader, a scan each; times within a scan are not used.
+    """The frames of a loader, a scan each; of points that have times within the sweep these are
+    kept where it is known how long it takes (``sweep_s``, s).
 
     ``settings`` are those that change the scans, for the fingerprint. ``truth`` (M, 4, 4) holds
     the loader's poses T_world_sensor by frame number, all NaN where unknown, None if it has none;
@@ -90,6 +92,8 @@ class KissDataset(Dataset):
     Raises ``DataError`` for a pose that is no rigid motion, and at ``dataset[i]`` for a scan
     that cannot be read or has no point left.
     """
+
+    sweep_s = 0.0
 
     def __init__(
         self,
@@ -128,31 +132,32 @@ class KissDataset(Dataset):
             raise IndexError(f"scan {index} of {len(self)}")
         frame = self.frames[index]
         truth = self.ground_truth.get(frame.number)
-        return Scan(index, frame.stamp, self._points(index), ground_truth=truth)
+        points, share = self._read(frame)
+        kept, causes = returns(frame.file, points, self.min_range, self.max_range)
+        self._drops.note(index, **causes)
+        times = None if share is None or not self.sweep_s else self.sweep_s * share[kept]
+        return Scan(index, frame.stamp, points[kept], ground_truth=truth, times=times)
 
     def fingerprint(self) -> str:
         """sha256 of the scans' files, stamps, truth and settings; reads every file once."""
         if self._fingerprint is None:
             digest = hashlib.sha256(repr(self._settings).encode())
+            digests = {file: _file_digest(file) for file in {f.file for f in self.frames}}
             for frame in self.frames:
                 truth = self.ground_truth.get(frame.number)
                 digest.update(np.float64(frame.stamp).tobytes())
                 digest.update(b"no truth" if truth is None else truth.tobytes())
-                digest.update(_file_digest(frame.file))
+                digest.update(digests[frame.file])
             self._fingerprint = digest.hexdigest()
         return self._fingerprint
 
-    def _points(self, index: int) -> Array:
-        frame = self.frames[index]
-        points = self._read(frame)
-        kept, causes = usable(frame.file, points, self.min_range, self.max_range)
-        self._drops.note(index, **causes)
-        return kept
-
-    def _read(self, frame: Frame) -> Array:
-        """All points (N, 3) of a frame."""
-        read, _ = quietly(self._name, frame.file, lambda: self._loader[frame.position])
-        return np.asarray(read, dtype=np.float64)
+    def _read(self, frame: Frame) -> tuple[Array, Array | None]:
+        """All points (N, 3) of a frame, and when in its sweep (0 to 1) each (N,) was taken."""
+        read, share = quietly(self._name, frame.file, lambda: self._loader[frame.position])
+        points = np.asarray(read, dtype=np.float64)
+        share = np.asarray(share, dtype=np.float64).ravel()
+        known = len(share) == len(points) and bool(((share >= 0) & (share <= 1)).all())
+        return points, share if known else None
 
     def dropped(self) -> dict[str, int]:
         return self._drops.total()
@@ -160,12 +165,13 @@ class KissDataset(Dataset):
 
 class KissFormat(KissDataset):
     """A data set by KISS-ICP's ``loader``: apollo, boreas, generic, helipr, kitti_raw, mulran,
-    ncd (Newer College), nclt or tum.
+    ncd (Newer College), nclt, nuscenes, ouster (one .pcap file) or tum.
 
     ``path`` is the folder that the loader expects (docs/data.md); ``sequence`` a part of it, for
-    helipr (Avia, Aeva, Ouster, Velodyne) and kitti_raw (00 to 10). Times are those of the files'
-    names or of a table beside them, else scans are 1 / ``rate_hz`` s apart, which is said. A truth
-    that belongs to scans by time is within ``tolerance_s`` (s) of them, or not known.
+    helipr (Avia, Aeva, Ouster, Velodyne), kitti_raw (00 to 10) and nuscenes (a scene's number).
+    Times are those of the files' names or of a table beside them, else scans are 1 / ``rate_hz`` s
+    apart, which is said. A truth that belongs to scans by time is within ``tolerance_s`` (s) of
+    them, or not known.
     ``min_range``, ``max_range`` in m; ``stride`` keeps every n-th scan, then ``max_scans`` the
     first so many. Points are read anew where the loader is known to err (``kiss_formats``).
 
@@ -177,7 +183,17 @@ class KissFormat(KissDataset):
         self,
         path: str,
         loader: Literal[
-            "apollo", "boreas", "generic", "helipr", "kitti_raw", "mulran", "ncd", "nclt", "tum"
+            "apollo",
+            "boreas",
+            "generic",
+            "helipr",
+            "kitti_raw",
+            "mulran",
+            "ncd",
+            "nclt",
+            "nuscenes",
+            "ouster",
+            "tum",
         ],
         sequence: Literal["Avia", "Aeva", "Ouster", "Velodyne"] | Index | None = None,
         rate_hz: Annotated[float, Gt(0)] = 10.0,
@@ -190,7 +206,11 @@ class KissFormat(KissDataset):
         form, folder = FORMATS[loader], Path(path).absolute()
         if form.sequence and sequence is None:
             raise ConfigError(f"{path}: dataset.sequence= says which sequence {loader} reads")
-        if not folder.is_dir():
+        if form.module and importlib.util.find_spec(form.module) is None:
+            raise ConfigError(f"dataset={loader} needs {form.package}: pip install {form.package}")
+        if form.one_file:
+            file_size(folder)
+        elif not folder.is_dir():
             raise DataError(f"{path}: expected the folder of a data set")
         named = {"sequence": str(sequence)} if form.sequence else {}
         opened = open_loader(loader, folder, **named)
@@ -214,6 +234,8 @@ class KissFormat(KissDataset):
             truth = np.where(np.isfinite(truth).all(axis=(1, 2))[:, None, None], truth, np.nan)
         super().__init__(loader, opened, frames, settings, truth, None, min_range, max_range)
         self.stamps = np.array([frame.stamp for frame in frames])
+        if len(stamps) > 1:
+            self.sweep_s = max(0.0, float(np.median(np.diff(stamps))))
         taken = f"{rate_hz:g} Hz from 0 s" if assumed else "those of the data set"
         self.readings = (
             Reading("times", taken, "no times were found" if assumed else "", "rate_hz"),
@@ -221,11 +243,12 @@ class KissFormat(KissDataset):
         )
         self.suspicions = tuple(time_suspicions(self.stamps))
 
-    def _read(self, frame: Frame) -> Array:
+    def _read(self, frame: Frame) -> tuple[Array, Array | None]:
         own = self._own_points
         if own is None:
             return super()._read(frame)
-        return np.asarray(quietly(self._name, frame.file, lambda: own(frame.file, self._loader)))
+        read = quietly(self._name, frame.file, lambda: own(frame.file, self._loader))
+        return np.asarray(read), None
 
 
 def _rigid(T: Array, frame: Frame) -> Array:

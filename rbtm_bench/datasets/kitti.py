@@ -9,7 +9,7 @@ import numpy as np
 from annotated_types import Ge, Gt
 
 from rbtm_bench.core.errors import ConfigError, DataError
-from rbtm_bench.core.geometry import is_rigid, se3
+from rbtm_bench.core.geometry import inverse, is_rigid, se3
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.association import time_suspicions
 from rbtm_bench.datasets.base import Reading
@@ -20,6 +20,9 @@ from rbtm_bench.datasets.poses_file import KITTI_COLUMNS, read_poses
 
 CALIBRATION_TOLERANCE = 1e-3
 """How far Tr's rotation may be from an exact one."""
+
+ALIKE_STEPS, ALIKE, ALIKE_DEG = 8, 0.003, 0.005
+"""So many steps whose lengths (share) and turns are so much alike are no car's."""
 
 Index = Annotated[int, Ge(0)]
 
@@ -86,6 +89,8 @@ class Kitti(KissDataset):
         what = "none" if poses is None else f"{poses}, by Tr in the laser's frame"
         self.readings = (Reading("truth", what, "" if poses else "no file of poses", ""),)
         self.suspicions = tuple(time_suspicions(np.array([frame.stamp for frame in frames])))
+        if truth is not None and self.ground_truth:
+            self.suspicions += _extrapolated(truth, min(self.ground_truth), max(self.ground_truth))
 
 
 def _open(path: str, name: str, correct_scans: bool) -> Any:
@@ -122,6 +127,28 @@ def _laser_poses(path: Path, Tr: Array) -> Array:
     camera[:, :3] = np.array(rows).reshape(-1, 3, 4)
     left = np.einsum("...ij,...jk->...ik", np.linalg.inv(Tr), camera)
     return np.asarray(np.einsum("...ij,...jk->...ik", left, Tr))
+
+
+def _extrapolated(truth: Array, first: int, last: int) -> tuple[str, ...]:
+    """A word on poses (N, 4, 4) that begin, from frame ``first`` on, with steps too much alike to
+    have been measured."""
+    T = truth[first : last + 1]
+    if len(T) < ALIKE_STEPS + 1:
+        return ()
+    steps = inverse(T[:-1]) @ T[1:]
+    lengths = np.linalg.norm(steps[:, :3, 3], axis=1)
+    turns = np.degrees(np.arctan2(steps[:, 1, 0], steps[:, 0, 0]))
+    odd = np.abs(lengths - lengths[0]) > ALIKE * lengths[0]
+    odd |= np.abs(turns - turns[0]) > ALIKE_DEG
+    alike = int(np.argmax(odd)) if odd.any() else len(odd)
+    if alike < ALIKE_STEPS or lengths[0] == 0:
+        return ()
+    end = first + alike
+    keep = f"; dataset.ground_truth_frames=[{end},{last}] leaves them out" if end < last else ""
+    return (
+        f"the true poses of frames {first} to {end} make the same step of {lengths[0]:.3f} m, "
+        f"{alike} times: extrapolated, not measured{keep}",
+    )
 
 
 def _as_it_is(points: Any) -> Any:

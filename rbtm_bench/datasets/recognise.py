@@ -12,13 +12,24 @@ from rbtm_bench.datasets.bag_scans import CLOUD, LASER
 from rbtm_bench.datasets.carmen_messages import LASERS
 from rbtm_bench.datasets.files import unpacked_lines
 
-CLOUDS = (".ply", ".pcd", ".bin", ".npy", ".xyz")
+CLOUDS = (".ply", ".pcd", ".bin", ".npy", ".xyz", ".las", ".laz")
 LOG_SUFFIXES = (".clf", ".log")
 TRUTH = ("*.tum", "poses.txt", "groundtruth.txt", "ground_truth.txt")
 KNOWN = (
-    "a CARMEN log, a folder of clouds (.ply, .pcd, .bin, .npy, .xyz), KITTI's layout "
-    "(sequences/00/velodyne), or a bag (.bag, .db3, .mcap)"
+    "a CARMEN log, a folder of clouds (.ply, .pcd, .bin, .npy, .xyz, .las), KITTI's layout "
+    "(sequences/00/velodyne) or another of KISS-ICP's, or a bag (.bag, .db3, .mcap)"
 )
+MARKS = {
+    "apollo": ("pcds/", "poses/gt_poses.txt"),
+    "boreas": ("lidar/", "applanix/lidar_poses.csv"),
+    "helipr": ("LiDAR/", "LiDAR_GT/"),
+    "kitti_raw": ("[0-9]*_[0-9]*_[0-9]*/*_drive_*_sync/velodyne_points/data/",),
+    "mulran": ("Ouster/", "global_pose.csv"),
+    "ncd": ("raw_format/ouster_scan/", "ground_truth/"),
+    "nclt": ("velodyne_sync/",),
+    "tum": ("depth.txt", "depth/", "groundtruth.txt"),
+}
+"""Of the formats of KISS-ICP's loaders: what stands in a folder of theirs and of no other."""
 LINES = 2000
 """Lines at the start of a file, in which a log has a scan."""
 _KEYWORDS = {name.encode() for name in (*LASERS, "ODOM")}
@@ -39,7 +50,8 @@ def recognise(path: str, given: tuple[str, ...] = ()) -> dict[str, str]:
         raise DataError(f"{path}: expected a file or folder, found a pipe or device")
     if (place / METADATA).is_file():
         return _bag(place)
-    return _kitti(place, given) or _clouds(place, given) or _folder_of_log(place)
+    known = _kitti(place, given) or _kiss(place, given) or _clouds(place, given)
+    return known or _folder_of_log(place)
 
 
 def _file(path: Path) -> dict[str, str]:
@@ -47,7 +59,7 @@ def _file(path: Path) -> dict[str, str]:
         raise DataError(f"{path}: a single cloud; a data set is the folder that it is in")
     if magic_suffix(path) is not None:
         return _bag(path)
-    if not _is_log(path):
+    if not is_log(path):
         raise DataError(f"{path}: not recognised: expected {KNOWN}")
     found = {"dataset": "carmen", "dataset.path": str(path)}
     stem = path.name
@@ -66,7 +78,7 @@ def _bag(path: Path) -> dict[str, str]:
     return {"dataset": name, "dataset.path": str(path)}
 
 
-def _is_log(path: Path) -> bool:
+def is_log(path: Path) -> bool:
     """Whether the file starts like a CARMEN log."""
     lines = itertools.islice(unpacked_lines(path, hashlib.sha256()), LINES)
     return any(line.split(None, 1)[:1] and line.split(None, 1)[0] in _KEYWORDS for line in lines)
@@ -88,6 +100,21 @@ def _kitti(path: Path, given: tuple[str, ...]) -> dict[str, str] | None:
         which = ", ".join(sequences) or "none"
         raise DataError(f"{path}: sequences {which}: dataset.sequence= says which")
     return {**found, "dataset.sequence": str(int(sequences[0]))}
+
+
+def _kiss(path: Path, given: tuple[str, ...]) -> dict[str, str] | None:
+    """A folder of one of KISS-ICP's formats, where all that marks it is there."""
+    names = [name for name, marks in MARKS.items() if all(any(path.glob(m)) for m in marks)]
+    if len(names) != 1:
+        return None
+    found = {"dataset": names[0], "dataset.path": str(path)}
+    if names == ["helipr"] and "dataset.sequence" not in given:
+        sequences = sorted(p.name for p in (path / "LiDAR").iterdir() if p.is_dir())
+        if len(sequences) != 1:
+            which = ", ".join(sequences) or "none"
+            raise DataError(f"{path}: sequences {which}: dataset.sequence= says which")
+        found["dataset.sequence"] = sequences[0]
+    return found
 
 
 def _clouds(path: Path, given: tuple[str, ...]) -> dict[str, str] | None:

@@ -65,7 +65,8 @@ def report(dataset: Dataset, every: bool = False) -> list[str]:
         f"{low:.1f}..{high:.1f}" for low, high in zip(seen.low, seen.high, strict=True)
     )
     lines.append(("extent", f"{extent} m in the sensor's frame"))
-    lines.append(("spacing", f"{np.median(seen.spacing):.3g} m to the next point (median)"))
+    if seen.spacing:
+        lines.append(("spacing", f"{np.median(seen.spacing):.3g} m to the next point (median)"))
     lines.append(("left out", _dropped(dataset, seen)))
     lines += [(f"{role} path", text) for role, text in _paths(dataset, seen)]
     lines += [(reading.what, str(reading).partition(": ")[2]) for reading in dataset.readings]

@@ -22,17 +22,25 @@ from rbtm_bench.engine.drive import make_crew
 from rbtm_bench.engine.progress import Plan, RunBar, run_bar
 from rbtm_bench.engine.sweep_folder import Asked
 from rbtm_bench.runs.claim import refuse_existing
+from rbtm_bench.runs.controls import Controls
 from rbtm_bench.runs.grid import Point
 from rbtm_bench.runs.settings import Settings
 
 
 @dataclass
 class Told:
-    """What a launcher tells of runs that have ended. ``done`` says how, by name."""
+    """What a launcher tells of runs that have ended. ``done`` says how, by name; ``idle`` are
+    controls that there is nothing to run for, and why."""
 
     out: Path
     bar: RunBar
     done: dict[str, bool] = field(default_factory=dict)
+    idle: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def failed(self) -> bool:
+        """Whether a run has."""
+        return not all(self.done.values())
 
     def __call__(self, name: str, record: dict[str, Any]) -> None:
         """A run has ended, and this is its ``run.json``."""
@@ -46,11 +54,13 @@ class Grid(ABC):
 
     ``settings``: some in which every value occurs, the first point's first. ``notes``: lines on
     points that are one. ``workers``: how many runs go on at once, None where that is not known.
+    ``controls``: what the grid adds by itself.
     """
 
     settings: list[Settings]
     notes: list[str]
     workers: int | None
+    controls: Controls
 
     @property
     @abstractmethod
@@ -106,7 +116,8 @@ def drive(grid: Grid, asked: Asked, out: Path, resumed: bool) -> Ended:
         most = "" if total == len(kept) else _check(grid, kept, crew[0])
         with claimed(asked, out, not resumed, overwrite):
             sweep_folder.clear(one for one in grid.folders(out) if one.name not in kept)
-            plan = Plan(total, len(kept), grid.workers, _mean_seconds(out, kept), most)
+            seconds, added = _mean_seconds(out, kept), len(grid.controls.names)
+            plan = Plan(total, len(kept), grid.workers, seconds, most, added)
             print(plan.opening(), file=sys.stderr)
             settle()
             with run_bar(plan) as bar:
@@ -116,7 +127,9 @@ def drive(grid: Grid, asked: Asked, out: Path, resumed: bool) -> Ended:
     folders = grid.folders(out)
     begun = {one.name for one in folders if (one / "run.json").is_file()} | told.done.keys()
     failed = [n for n in begun if not told.done.get(n, sweep_folder.status(out / n) == "done")]
-    left = [label for name, label in (grid.labels or {}).items() if name not in begun]
+    left = [
+        label for name, label in (grid.labels or {}).items() if name not in begun | told.idle.keys()
+    ]
     return Ended(folders, failed, left, len(kept), broken)
 
 

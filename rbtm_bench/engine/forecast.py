@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -30,6 +31,7 @@ def registrations_at_most(points: Sequence[Point], scans: dict[str, int]) -> int
     """
     widest: dict[tuple[str, str], float] = {}
     extra: dict[tuple[str, str], bool] = {}
+    alone: Counter[tuple[str, str]] = Counter()
     for point in points:
         config, choices = point.settings.config, point.settings.choices
         if is_system(config):
@@ -43,22 +45,29 @@ def registrations_at_most(points: Sequence[Point], scans: dict[str, int]) -> int
         if data not in scans:
             return "not every data set was opened"
         way = (data, node_key(experiment.backend_node(config), config["guess"]))
-        widest[way] = max(widest.get(way, 0.0), _reach(config["selector"]))
+        reach = _reach(config["selector"])
+        alone[way] += reach is None
+        widest[way] = max(widest.get(way, 0.0), reach or 0.0)
         extra[way] = bool(getattr(guess, "needs_backend", False))  # it registers neighbours too
     count = 0
     for way, reach in widest.items():
         n = scans[way[0]]
         near = int(min(reach, n - 1))
-        count += near * (n - 1) - near * (near - 1) // 2 + (n - 1) * extra[way]
+        within = near * (n - 1) - near * (near - 1) // 2 + (n - 1) * alone[way]
+        count += min(within, n * (n - 1) // 2) + (n - 1) * extra[way]
     return count
 
 
-def _reach(node: dict[str, Any]) -> float:
+def _reach(node: dict[str, Any]) -> float | None:
     """How many scans the window of a selector holds, inf where it may hold any: with keyframes, or
-    where scans are left out, runs remember different ones."""
+    where scans are left out, runs remember different ones; None where it holds one keyframe, which
+    is all that a scan can be registered to."""
     try:
         selector = experiment.build(node)
-        plain = selector.window().keyframes is None and selector.fallback != "skip"
-        return float(selector.capacity) if plain else float("inf")
+        if selector.fallback == "skip":
+            return float("inf")
+        if selector.window().keyframes is None:
+            return float(selector.capacity)
+        return None if selector.capacity == 1 else float("inf")
     except RbtmBenchError:  # random_gap, before its gaps are there
         return float("inf")

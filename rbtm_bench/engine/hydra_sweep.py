@@ -16,11 +16,12 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from rbtm_bench.core.errors import ConfigError, RbtmBenchError
-from rbtm_bench.engine import drive, one_run, sweep_folder
+from rbtm_bench.engine import beside, drive, one_run, sweep_folder
 from rbtm_bench.engine.crew import Supervisor, own_supervisor
 from rbtm_bench.engine.driver import Grid, Told
 from rbtm_bench.engine.progress import RunBar
 from rbtm_bench.engine.sweep_folder import Asked
+from rbtm_bench.runs import controls
 from rbtm_bench.runs.experiment import reason
 from rbtm_bench.runs.grid import Point, one_way_to_run, values_beside_first
 from rbtm_bench.runs.settings import (
@@ -46,6 +47,11 @@ POLL_S = 0.5
 MOST_COMPOSED = 64
 """Jobs, at most, that are composed to say what they will ask for: each takes Hydra 0.06 s."""
 
+MOST_ALIKE = 256
+"""Kinds of jobs, at most, that are composed to find their controls."""
+ONE_VALUE = ("selector.threshold=", "replicate=")
+"""Settings that no other follows from: jobs that differ in them alone are composed once."""
+
 _here: tuple[Supervisor, RunBar] | None = None
 """What runs of this very process use, where the sweep runs in it."""
 
@@ -53,9 +59,11 @@ _here: tuple[Supervisor, RunBar] | None = None
 @dataclass(frozen=True)
 class SweepPlan(Grid):
     """The jobs of a sweep, made by one of Hydra's launchers: the words of every job, None where a
-    sweeper makes them up as it goes; Hydra's words; is it one process?"""
+    sweeper makes them up as it goes; those that controls are for; Hydra's words; is it one
+    process?"""
 
     jobs: list[list[str]] | None
+    points: list[Point]
     words: list[str]
     one_process: bool
     extra_dirs: tuple[Path, ...]
@@ -77,29 +85,38 @@ class SweepPlan(Grid):
             fixed = _fixed(node.sweeper)
             jobs = None if fixed is None else _product([*fixed, *task])
         settings = values_beside_first([*(fixed or []), *task], extra_dirs)
-        _require_own_stores(node.launcher, settings)
+        beyond = _is_beyond(node.launcher)
+        _require_own_stores(beyond, settings)
         kind, at_once = str(node.launcher.get("_target_")), None
         alone = kind.endswith(".BasicLauncher")
         if kind.endswith(".JoblibLauncher"):
             at_once = int(node.launcher.get("n_jobs") or -1)
             at_once = at_once if at_once > 0 else max(1, drive.default_jobs() + 1 + at_once)
         words = [*extra, *hydra_words, *task]
-        return cls(settings, notes, 1 if alone else at_once, jobs, words, alone, extra_dirs)
+        points, why = _points_with_controls(jobs, settings, beyond, extra_dirs)
+        added = controls.plan(points)
+        notes += [*([f"no controls: {why}"] if why else []), *added.notes]
+        workers = 1 if alone else at_once
+        return cls(settings, notes, workers, added, jobs, points, words, alone, extra_dirs)
 
     @property
     def labels(self) -> dict[str, str] | None:
         if self.jobs is None:
             return None
-        return {str(number): f"{number} ({' '.join(job)})" for number, job in enumerate(self.jobs)}
+        jobs = {str(number): f"{number} ({' '.join(job)})" for number, job in enumerate(self.jobs)}
+        return jobs | {name: name for name in self.controls.names}
 
     def finished(self, out: Path) -> set[str]:
-        return {p.name for p in sweep_folder.run_folders(out) if sweep_folder.is_whole(p)}
+        whole = {p.name for p in sweep_folder.run_folders(out) if sweep_folder.is_whole(p)}
+        return whole | beside.finished(self.controls, self.points, out)
 
     def to_check(self, kept: set[str]) -> tuple[list[Point], list[Point] | str]:
         points = [Point(str(number), settings) for number, settings in enumerate(self.settings)]
         if self.jobs is None:
             return points, "the sweeper makes up its jobs as it goes"
-        if len(self.jobs) == len(points) and not kept:
+        added = [point for point in self.controls.planned if point.name not in kept]
+        points += added
+        if len(self.jobs) == len(self.settings) and not kept:
             return points, points
         rest = [(str(n), job) for n, job in enumerate(self.jobs) if str(n) not in kept]
         if len(rest) > MOST_COMPOSED:
@@ -108,7 +125,7 @@ class SweepPlan(Grid):
         for name, job in rest:
             with contextlib.suppress(ConfigError):  # such a job fails, and asks for nothing
                 made.append(Point(name, compose_settings(job, self.extra_dirs)))
-        return points, made
+        return points, [*made, *added]
 
     def launch(
         self, kept: set[str], asked: Asked, crew: Sequence[Supervisor], told: Told
@@ -131,7 +148,17 @@ class SweepPlan(Grid):
         finally:
             _here = None
         sweep_folder.check_ctrl_c()
+        self._make_controls(kept, asked, crew, told)
         return None
+
+    def _make_controls(
+        self, kept: set[str], asked: Asked, crew: Sequence[Supervisor], told: Told
+    ) -> None:
+        """The controls, by processes of this one, as many as the launcher had at a time."""
+        with contextlib.ExitStack() as stack:
+            if not self.one_process and self.controls.names:
+                crew = stack.enter_context(drive.make_crew(self.workers or 1, asked.command))
+            beside.make(self.controls, self.points, kept, crew, told, asked.fail_fast)
 
 
 def _fixed(sweeper: DictConfig) -> list[str] | None:
@@ -152,17 +179,65 @@ def _require_launcher(words: list[str]) -> None:
                 raise ConfigError(f"{word}: not installed: pip install 'rbtm-bench[{extra}]'")
 
 
-def _require_own_stores(launcher: DictConfig, settings: list[Settings]) -> None:
-    """Raise ``ConfigError`` if several machines would write one pair store: they cannot."""
+def _is_beyond(launcher: DictConfig) -> bool:
+    """Whether runs go to other machines than this one."""
     kind = str(launcher.get("_target_")).rpartition(".")[2]
-    beyond = kind == "SlurmLauncher" or (
+    return kind == "SlurmLauncher" or (
         kind == "RayLauncher" and launcher.ray.init.get("address") not in (None, "local")
     )
+
+
+def _require_own_stores(beyond: bool, settings: list[Settings]) -> None:
+    """Raise ``ConfigError`` if several machines would write one pair store: they cannot."""
     if beyond and any(one.config["pairs"]["store"] == "shared" for one in settings):
         raise ConfigError(
             "pairs.store=shared: the machines of a cluster cannot share one file safely; "
             "add pairs.store=per_worker (merged at the end; docs/pairstore.md)"
         )
+
+
+def _points_with_controls(
+    jobs: list[list[str]] | None,
+    settings: list[Settings],
+    beyond: bool,
+    extra_dirs: tuple[Path, ...],
+) -> tuple[list[Point], str]:
+    """The jobs as points beside which controls belong, or why there are to be none."""
+    if settings[0].config["controls"] == "none":
+        return [], ""
+    if jobs is None:
+        return [], "the sweeper makes up its jobs as it goes"
+    if beyond:
+        return [], "other machines make the runs; compare, or a sweep of them, makes controls"
+    alike: dict[tuple[str, ...], Settings] = {}
+    points = []
+    for number, job in enumerate(jobs):
+        fixed = tuple(word for word in job if not _is_one_value(word))
+        if fixed not in alike:
+            if len(alike) == MOST_ALIKE:
+                return [], f"more than {MOST_ALIKE} different jobs are not looked into"
+            with contextlib.suppress(ConfigError):  # such a job fails by itself
+                alike[fixed] = compose_settings(job, extra_dirs)
+        if fixed in alike:
+            points.append(Point(str(number), _with_values(alike[fixed], job)))
+    return points, ""
+
+
+def _is_one_value(word: str) -> bool:
+    """Whether a word is one of ``ONE_VALUE`` with a number."""
+    try:
+        return word.startswith(ONE_VALUE) and float(word.partition("=")[2]) is not None
+    except ValueError:  # ${point.threshold}
+        return False
+
+
+def _with_values(settings: Settings, job: list[str]) -> Settings:
+    """Settings with the job's own values of ``ONE_VALUE``."""
+    config = dict(settings.config)
+    for override in parsed([word for word in job if _is_one_value(word)]):
+        group, _, name = override.key_or_group.partition(".")
+        config[group] = {**config[group], name: override.value()} if name else override.value()
+    return replace(settings, config=config, overrides=tuple(job))
 
 
 def _product(words: list[str]) -> list[list[str]]:

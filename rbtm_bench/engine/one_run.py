@@ -43,7 +43,7 @@ def check_data(points: Sequence[Point]) -> dict[str, int]:
             opened[key] = experiment.build(config["dataset"])
             scans[key] = len(opened[key])
             summary.tell(opened[key])
-        groups = ("backend", "search", "guess", "similarity", "selector", "check")
+        groups = ("backend", "search", "guess", "similarity", "selector", "check", "target")
         fit = repr((key, [config.get(group) for group in groups]))
         if fit not in checked:
             checked.add(fit)

@@ -40,7 +40,7 @@ class Plan:
 
     ``total`` runs (None: nobody knows), ``reused`` of them done before, ``workers`` at a time
     (None: nobody knows); the seconds that a run took before, on average (None: none did); the most
-    distinct registrations that the new ones ask for, or why nobody knows.
+    distinct registrations that the new ones ask for, or why nobody knows; how many are controls.
     """
 
     total: int | None
@@ -48,6 +48,7 @@ class Plan:
     workers: int | None = 1
     run_seconds: float | None = None
     most: int | str = ""
+    controls: int = 0
 
     def opening(self) -> str:
         """ "24 runs: 20 new, 4 done before; at most 960 distinct registrations; about 1:10"."""
@@ -55,6 +56,7 @@ class Plan:
             return f"nobody knows how many runs: the sweeper makes them up; {UNTIL_DONE}"
         new = self.total - self.reused
         count = f"{self.total} run{'s' if self.total != 1 else ''}"
+        count += f", {self.controls} of them controls" if self.controls else ""
         if not self.reused:
             words = [f"{count}, all new"]
         else:

@@ -28,15 +28,17 @@ def summarise_steps(steps: StepTable, peak_memory_mb: float | None = None) -> Va
         column = steps[name]
         return [column[i] for i in registered if column[i] is not None]
 
+    asked = len(steps) - 1 - status.count("still")
     held, gaps = of_registered("localizability_min"), of_registered("gap")
     fitness, reused = of_registered("fitness"), of_registered("reused")
     return {
-        "coverage": len(registered) / (len(steps) - 1) if len(steps) > 1 else None,
+        "coverage": len(registered) / asked if asked > 0 else None,
         "registrations": sum(steps["registrations"]),
         "rejected": sum(steps["rejected"]),
         "recovered": sum(bool(name) for name in steps["recovered"]),
         "fallbacks": status.count("fallback"),
         "skipped": status.count("skipped"),
+        "still": status.count("still"),
         "longest_skip": _longest_skip(status),
         "restarts": sum(steps["restart"]),
         **_picks(steps["pick"]),
@@ -53,7 +55,9 @@ def summarise_steps(steps: StepTable, peak_memory_mb: float | None = None) -> Va
 def why_unregistered(steps: StepTable) -> str:
     """The most frequent reason of the scans without a registration, numbers aside, by example."""
     where = zip(steps["status"][1:], steps["reason"][1:], strict=True)
-    reasons = [reason for status, reason in where if status not in REGISTERED and reason]
+    reasons = [
+        reason for status, reason in where if status not in (*REGISTERED, "still") and reason
+    ]
     kinds = [re.sub(r"[\d.]+", "0", reason) for reason in reasons]
     return reasons[kinds.index(max(kinds, key=kinds.count))] if reasons else ""
 
@@ -70,6 +74,7 @@ def _longest_skip(status: Sequence[str]) -> int:
     """The most scans in a row, the first scan aside, whose pose is a prediction."""
     longest = current = 0
     for one in status[1:]:
-        current = 0 if one in REGISTERED else current + 1
+        if one != "still":
+            current = 0 if one in REGISTERED else current + 1
         longest = max(longest, current)
     return longest

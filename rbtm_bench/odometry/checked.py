@@ -20,6 +20,7 @@ from rbtm_bench.core.errors import one_line
 from rbtm_bench.core.geometry import is_rigid
 from rbtm_bench.core.types import Array, RegistrationResult, Scan
 from rbtm_bench.guess.base import Guess
+from rbtm_bench.recovery.base import Recovery
 from rbtm_bench.selection.base import Candidate, Selection, Selector, Trial
 from rbtm_bench.selection.window import Window
 from rbtm_bench.similarity.base import Descriptor, Similarity
@@ -70,6 +71,17 @@ def motion(guess: Guess, given: Any) -> Array:
     if T.dtype.kind not in "fiu" or not is_rigid(T, tolerance=1e-5):
         what = f"{T.dtype.name} of shape {T.shape}"
         raise ValueError(f"{type(guess).__name__}.predict returned {what}, no rigid motion (4, 4)")
+    return T.astype(np.float64, copy=False)
+
+
+def start(recovery: Recovery, given: Any) -> Array:
+    """Where a restart begins (4, 4)."""
+    if _is_ours(type(recovery)):
+        return given
+    T = np.array(given)
+    if T.dtype.kind not in "fiu" or not is_rigid(T, tolerance=1e-5):
+        what = f"{T.dtype.name} of shape {T.shape}"
+        raise ValueError(f"{type(recovery).__name__}.restarts gave {what}, no rigid motion (4, 4)")
     return T.astype(np.float64, copy=False)
 
 

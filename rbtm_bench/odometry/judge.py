@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rbtm_bench.backends.base import Alignment, Backend, Prepared, checked_alignment
 from rbtm_bench.backends.plane_index import plane_index
 from rbtm_bench.backends.space_index import SpaceIndex, space_index
-from rbtm_bench.core.geometry import symmetric
+from rbtm_bench.core.geometry import symmetric, voxel_downsample
 from rbtm_bench.core.rigid import all_finite, apart, rigidity, symmetric_information
 from rbtm_bench.core.types import Array, Localizability, RegistrationResult
 from rbtm_bench.odometry.judge_plane import MATRIX, MAX_MATCHES, MIN_SURFACE, plane_sums
@@ -45,18 +45,22 @@ def register(
     target: Prepared,
     T_target_source: Array,
     most: int = MAX_POINTS,
+    radius: float | None = None,
 ) -> RegistrationResult:
-    """The backend's registration from the initial guess ``T_target_source`` (4, 4), judged by at
-    most ``most`` points of a cloud in space.
+    """The backend's registration from the initial guess ``T_target_source`` (4, 4), judged within
+    ``radius`` m (None: the backend's ``max_correspondence_distance``) by at most ``most`` points of
+    a cloud in space.
 
     ``converged`` is False, whatever the library says, when fewer than 3 source points lie within
-    the backend's ``max_correspondence_distance`` of the target. Raises as ``Backend.register``.
+    that radius of the target. Raises as ``Backend.register``.
     """
     compile_kernels()
     alignment = backend.register(source, target, T_target_source)
     if type(backend).register is not Backend.register:  # of its own making: looked at as well
         alignment = checked_alignment(backend, alignment, source.planar and target.planar)
-    return judged(alignment, source, target, backend.max_correspondence_distance, most)
+    if radius is None:
+        radius = backend.max_correspondence_distance
+    return judged(alignment, source, target, radius, most)
 
 
 def judged(
@@ -98,6 +102,7 @@ def compile_kernels() -> None:
     apart(np.eye(4), np.eye(4))
     symmetric_information(np.eye(6), True)
     all_finite(np.eye(3))
+    voxel_downsample(np.eye(3), 1.0)
 
 
 def evaluate(
@@ -115,6 +120,7 @@ def evaluate(
     neighbours within ``radius``. Of a cloud in space every k-th point is looked at, so that at most
     ``most`` are; ``inliers`` is then k times those.
     """
+    target, T_target_source = target.as_built(T_target_source)  # where its indexes are
     if target.planar:
         return _evaluate_2d(source, target, T_target_source, radius)
     step = max(1, -(-len(source.points) // most))

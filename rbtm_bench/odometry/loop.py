@@ -9,38 +9,30 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
-from typing import NamedTuple
+from dataclasses import replace
 
 import numpy as np
 
-from rbtm_bench.backends.base import Prepared
 from rbtm_bench.core.errors import BackendError
+from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.types import Array, Edge, Node, RegistrationResult, Scan, Step, StepRecord
-from rbtm_bench.core.uncertainty import chained, edge_covariance
+from rbtm_bench.core.uncertainty import chained, edge_covariance, inflated
 from rbtm_bench.odometry import checked, rows
+from rbtm_bench.odometry.attempt import attempt
 from rbtm_bench.odometry.chain import PoseChain
-from rbtm_bench.odometry.degeneracy import remap, unseen
-from rbtm_bench.odometry.judge import MIN_INLIERS
-from rbtm_bench.odometry.method import Method, Work
+from rbtm_bench.odometry.method import Method, Ready, Work
+from rbtm_bench.odometry.motion_filter import is_still
 from rbtm_bench.selection.base import Selection, Selector, Trial
 from rbtm_bench.selection.window import Window
-from rbtm_bench.similarity.base import Descriptor
 
 MOST_POINTS = 1_000_000
 """A block ends with the scan that makes it so many points: 24 MB."""
 PATIENCE = 0.5
 """s after which finished scans are handed out, though their block goes on."""
+DISAGREEMENT = 5.0
+"""Of several edges: the squared sigmas beyond which one that disagrees counts less (DCS)."""
 UNKNOWN = np.full(1024, np.nan)
 """Scores that nobody asked for."""
-
-
-class Ready(NamedTuple):
-    """A scan and what is known of it before it is registered."""
-
-    scan: Scan
-    record: StepRecord
-    prepared: Prepared | None
-    descriptor: Descriptor | None
 
 
 def odometry(
@@ -56,30 +48,43 @@ def odometry(
     """
     work = work or Work(method)
     window = method.selector.window()
+    past = method.target.window(window)  # the same, or what the target needs beside it
     chain = PoseChain()
     recent: deque[Node] = deque(maxlen=2)
+    moving: Node | None = None  # the last scan that was not still
     left_out = 0  # scans in a row that matched nothing and are no model scans
     for part in _blocks(scans, block):
         done: list[Step] = []
         since = time.perf_counter()
         for ready in _ready(part, work):
-            edge = None
-            if recent:
+            edges: tuple[Edge, ...] = ()
+            still = is_still(ready, recent, moving, work)
+            if still:
+                ready.record.status, ready.record.reason = "still", "moved too little"
+            elif recent:
                 selection = _select(ready, window, recent, work)
                 ready.record.pick = rows.first_pick(window, selection, method.selector)
-                edge = _register(ready, window, recent, selection, work)
-                if edge is None and left_out >= method.selector.patience:
-                    edge = _restart(ready, window, recent, work)
-            node, step, lost = _place(ready, edge, window, recent, chain, work)
-            left_out = left_out + 1 if lost else 0
-            if node.prepared is not None and not lost:
-                window.push(node)
+                edges = _register(ready, window, past, recent, selection, work)
+                if not edges and left_out >= method.selector.patience:
+                    edges = _restart(ready, window, past, recent, work)
+            node, step, lost = _place(ready, edges, window, recent, chain, work)
+            left_out = left_out if still else left_out + 1 if lost else 0
+            moving = moving if still else node
+            if node.prepared is not None and not lost and not still:
+                _remember(node, window, past)
             recent.append(node)
             done.append(step)
             if time.perf_counter() - since > PATIENCE:
                 yield from rows.finished(done)
                 done, since = [], time.perf_counter()
         yield from rows.finished(done)
+
+
+def _remember(node: Node, window: Window, past: Window, always: bool = False) -> None:
+    """Push a scan into the selector's window and into the target's, if that is another."""
+    window.push(node, always)
+    if past is not window:
+        past.push(node, always)
 
 
 def _blocks(scans: Iterable[Scan], most: int) -> Iterator[list[Scan]]:
@@ -103,6 +108,9 @@ def _ready(part: Sequence[Scan], work: Work) -> Iterator[Ready]:
         for scan in part:
             method.selector.see(scan)
     part = [scan.without_truth() for scan in part]
+    if method.selector.needs_scans:
+        for scan in part:
+            method.selector.see(scan)
     descriptors, seconds = None, 0.0
     if method.selector.needs_scores:
         descriptors, seconds = work.describe(part)
@@ -146,72 +154,46 @@ def _select(ready: Ready, window: Window, recent: Sequence[Node], work: Work) ->
 
 
 def _register(
-    ready: Ready, window: Window, recent: Sequence[Node], selection: Selection, work: Work
-) -> Edge | None:
-    """Try the candidates in order; the first registration that passes the check is the edge, or,
-    for a selector that tries all, the one that it picks of those."""
+    ready: Ready,
+    window: Window,
+    past: Window,
+    recent: Sequence[Node],
+    selection: Selection,
+    work: Work,
+) -> tuple[Edge, ...]:
+    """Try the candidates in order; the first registrations that pass the check are the edges, as
+    many as the selector asks for, or, for one that tries all, the one that it picks of those."""
     scan, record, selector = ready.scan, ready.record, work.method.selector
     if ready.prepared is None:
-        return None
+        return ()
     record.status = "predicted" if selection.candidates else "skipped"
     if len(window) == 0:
         record.status, record.reason = "predicted", "no model scan yet"
     accepted: list[Trial] = []
     for candidate in selection.candidates:
-        model = window.node(candidate.model)
-        outcome = _attempt(ready, ready.prepared, model, window, recent, work)
-        if isinstance(outcome, RegistrationResult):
-            accepted.append(Trial(candidate, model, outcome))
-            if not selector.tries_all:
+        outcome = attempt(ready, ready.prepared, candidate, past, recent, work)
+        if isinstance(outcome, Trial):
+            accepted.append(outcome)
+            if not selector.tries_all and len(accepted) >= selector.edges:
                 break
         else:
             record.rejected += 1
             record.reason = outcome
     if not accepted:
-        return None
+        return ()
     started = time.perf_counter()
     which, reason = checked.pick(selector, scan, accepted)
     record.t_select_s += time.perf_counter() - started
     chosen = accepted[which]
     rows.fill(record, chosen, reason, work.method.guess_along_degenerate)
-    return _edge(chosen.model, scan, chosen.result, selector)
+    work.method.check.accept(chosen.result)
+    kept = accepted if selector.edges > 1 else [chosen]
+    return tuple(_edge(one.model, scan, one.result, work.method) for one in kept)
 
 
-def _attempt(
-    ready: Ready,
-    source: Prepared,
-    model: Node,
-    window: Window,
-    recent: Sequence[Node],
-    work: Work,
-) -> RegistrationResult | str:
-    """The registration to one candidate, or why it is not believed."""
-    method, record = work.method, ready.record
-    T_guess = work.predict(model, ready.scan, recent)
-    started = time.perf_counter()
-    try:
-        target = checked.target(method.target, ready.scan, model.scan, window, method.backend)
-        built = time.perf_counter()
-        record.t_prepare_s += built - started
-        record.registrations += 1
-        result = work.register(source, target, T_guess)
-        if result.inliers < MIN_INLIERS:
-            why_not: str | None = f"{result.inliers} inliers: expected at least {MIN_INLIERS}"
-        else:
-            if method.guess_along_degenerate is not None:
-                record.kept_guess = unseen(result, method.guess_along_degenerate)
-                result = remap(result, T_guess, method.guess_along_degenerate)
-            has_motion = method.guess.has_motion(recent)
-            why_not = checked.rejection(method.check, result, T_guess, has_motion)
-        spent = time.perf_counter() - built - (0.0 if result.reused else result.seconds)
-        record.t_register_s += result.seconds
-        record.t_check_s += max(0.0, spent)
-    except BackendError as error:
-        return str(error)
-    return result if why_not is None else why_not
-
-
-def _restart(ready: Ready, window: Window, recent: Sequence[Node], work: Work) -> Edge | None:
+def _restart(
+    ready: Ready, window: Window, past: Window, recent: Sequence[Node], work: Work
+) -> tuple[Edge, ...]:
     """Try the scan before, alone, although it matched nothing itself.
 
     Without this a window that nothing enters would grow old for ever. That two scans in a row
@@ -219,39 +201,40 @@ def _restart(ready: Ready, window: Window, recent: Sequence[Node], work: Work) -
     """
     last, record = recent[-1], ready.record
     if ready.prepared is None or last.prepared is None:
-        return None
+        return ()
     alone = Window(1)
-    alone.push(last)
+    known = work.method.target.window(alone)
+    _remember(last, alone, known)
     selection = _select(ready, alone, recent, work)
     if not selection.candidates:
-        return None
-    edge = _register(ready, alone, recent, selection, work)
-    if edge is not None:
-        window.push(last, always=True)
+        return ()
+    edges = _register(ready, alone, known, recent, selection, work)
+    if edges:
+        _remember(last, window, past, always=True)
         record.restart, record.reason = True, f"restart: {record.reason}"
-    return edge
+    return edges
 
 
 def _place(
     ready: Ready,
-    edge: Edge | None,
+    edges: tuple[Edge, ...],
     window: Window,
     recent: Sequence[Node],
     chain: PoseChain,
     work: Work,
 ) -> tuple[Node, Step, bool]:
-    """The scan with its pose, and whether it is kept out of the window: by the accepted edge, else
+    """The scan with its pose, and whether it is kept out of the window: by the accepted edges, else
     by the guess."""
     scan, record, selector = ready.scan, ready.record, work.method.selector
-    edges: tuple[Edge, ...] = ()
-    lost = False
+    link, lost = None, False
     if not recent:
         T_world_scan = chain.start(scan.index)
     else:
-        lost = edge is None and _is_left_out(record, window, selector)
-        edges = (edge or _predict(scan, recent, work),)
-        T_world_scan = chain.add(edges[0])
-    hops, covariance = _behind(edges, window, recent, selector)
+        lost = not edges and _is_left_out(record, window, selector)
+        edges = edges or (_predict(scan, recent, work),)
+        link = _joined(edges, chain, scan.planar)
+        T_world_scan = chain.add(link)
+    hops, covariance = _behind(link, window, recent, selector)
     node = Node(
         scan.index,
         scan.stamp,
@@ -276,27 +259,42 @@ def _predict(scan: Scan, recent: Sequence[Node], work: Work) -> Edge:
     """The motion since the previous scan as the guess has it: no measurement behind it."""
     T = work.predict(recent[-1], scan, recent)
     covariance = None
-    if work.method.selector.covariance_from is not None:
+    if work.method.covariance_from is not None:
         covariance = edge_covariance(None, scan.planar)
     return Edge(recent[-1].scan, scan.index, T, kind="predicted", covariance=covariance)
 
 
-def _edge(model: Node, scan: Scan, result: RegistrationResult, selector: Selector) -> Edge:
+def _edge(model: Node, scan: Scan, result: RegistrationResult, method: Method) -> Edge:
     """The measured motion between two scans."""
     covariance = None
-    if selector.covariance_from is not None:
-        covariance = edge_covariance(result, scan.planar, selector.covariance_from)
+    if method.covariance_from is not None:
+        covariance = edge_covariance(result, scan.planar, method.covariance_from)
     T, information = result.T_target_source, result.information
     return Edge(model.scan, scan.index, T, information, covariance=covariance)
 
 
+def _joined(edges: Sequence[Edge], chain: PoseChain, planar: bool) -> Edge:
+    """The edge that a scan hangs on: its only one, or the first with the motion that agrees best
+    with all, the model scans held at their poses."""
+    if len(edges) == 1:
+        return edges[0]
+    from rbtm_bench.graph.fused import fused  # brings scipy, which most runs do without
+
+    T_first_world = inverse(chain.pose(edges[0].model))
+    motions = np.stack([T_first_world @ chain.pose(e.model) @ e.T_model_scan for e in edges])
+    covariances = np.stack(
+        [inflated(e.covariance, e.T_model_scan, planar) for e in edges if e.covariance is not None]
+    )
+    T, covariance = fused(motions, covariances, planar, DISAGREEMENT)
+    return replace(edges[0], T_model_scan=T, information=None, covariance=covariance)
+
+
 def _behind(
-    edges: Sequence[Edge], window: Window, recent: Sequence[Node], selector: Selector
+    edge: Edge | None, window: Window, recent: Sequence[Node], selector: Selector
 ) -> tuple[int, Array | None]:
-    """Hops and covariance of the chain from the start to a scan with these edges."""
-    if not edges:
+    """Hops and covariance of the chain from the start to a scan that hangs on this edge."""
+    if edge is None:
         return 0, None if selector.covariance_from is None else np.zeros((6, 6))
-    edge = edges[0]
     model = recent[-1] if edge.model == recent[-1].scan else window.node(edge.model)
     if edge.covariance is None or model.covariance is None:
         return model.hops + 1, None

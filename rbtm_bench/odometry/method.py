@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from rbtm_bench.backends.base import Backend, Prepared
 from rbtm_bench.check.base import Check
-from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
+from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan, StepRecord
+from rbtm_bench.core.uncertainty import InformationFrom
 from rbtm_bench.guess.base import Guess
 from rbtm_bench.odometry import checked, judge
 from rbtm_bench.recovery.base import Recovery
@@ -20,6 +22,17 @@ from rbtm_bench.selection.window import Window
 from rbtm_bench.similarity.band import Band
 from rbtm_bench.similarity.base import Descriptor, PairwiseSimilarity, Similarity, checked_scores
 from rbtm_bench.target.base import Target
+
+
+class MotionFilter(NamedTuple):
+    """m and deg since the last registered scan below which, both, a scan is not registered; 0:
+    every scan is."""
+
+    distance: float = 0.0
+    angle_deg: float = 0.0
+
+
+EVERY_SCAN = MotionFilter()
 
 
 @dataclass(frozen=True)
@@ -34,10 +47,32 @@ class Method:
     target: Target
     guess_along_degenerate: float | None = None
     """Keep the guess along directions of less localizability than this; None: never."""
+    guess_weight: float | None = None
+    """Share of the guess's information that counts beside the registration's; None: none."""
+    motion_filter: MotionFilter = EVERY_SCAN
+    """Scans that moved less, by the guess, are not registered."""
     recovery: Recovery = field(default_factory=NoRecovery)
     """What follows a registration that the check refuses."""
     judge_points: int = judge.MAX_POINTS
     """Points of a cloud in space that a registration is judged by, at most."""
+    judge_radius: float | None = None
+    """m within which it is judged; None: the backend's ``max_correspondence_distance``."""
+    edges_from: InformationFrom | None = None
+    """Where the covariance of edges comes from though no selector asks; None: nobody needs it."""
+
+    @property
+    def covariance_from(self) -> InformationFrom | None:
+        """Where the covariance of edges comes from; None: nobody needs it."""
+        return self.selector.covariance_from or self.edges_from
+
+
+class Ready(NamedTuple):
+    """A scan and what is known of it before it is registered."""
+
+    scan: Scan
+    record: StepRecord
+    prepared: Prepared | None
+    descriptor: Descriptor | None
 
 
 def band_of(method: Method) -> Band | None:
@@ -102,5 +137,5 @@ class Work:
         self, source: Prepared, target: Prepared, T_target_source: Array
     ) -> RegistrationResult:
         """The judged registration of a pair. Raises ``BackendError`` if it cannot be done."""
-        most = self.method.judge_points
-        return judge.register(self.method.backend, source, target, T_target_source, most)
+        most, radius = self.method.judge_points, self.method.judge_radius
+        return judge.register(self.method.backend, source, target, T_target_source, most, radius)

@@ -16,14 +16,15 @@ def fill(record: StepRecord, chosen: Trial, reason: str, threshold: float | None
     """Write down the registration that a scan got its pose from."""
     candidate, result = chosen.candidate, chosen.result
     record.status = "fallback" if candidate.is_fallback else "registered"
-    record.reason = reason
+    record.reason, record.recovered = reason, chosen.restart
     record.model, record.gap = candidate.model, record.scan - candidate.model
     record.score = candidate.score
+    record.target_scans, record.target_points = chosen.target_scans, chosen.target_points
     record.converged = result.converged
     record.fitness, record.inlier_rmse_m = result.fitness, result.inlier_rmse
     record.iterations, record.reused = result.iterations, result.reused
     record.library_fitness, record.library_rmse_m = result.library_fitness, result.library_rmse
-    record.t_search_s, record.search_score = result.search_seconds, result.search_score
+    record.search_seconds, record.search_score = result.search_seconds, result.search_score
     record.search_peak_ratio = result.search_peak_ratio
     if threshold is not None:
         record.kept_guess = unseen(result, threshold)
@@ -36,7 +37,7 @@ def first_pick(window: Window, selection: Selection, selector: Selector) -> str:
     """Which member a selector with scores would try first in a full window (one of
     ``step_columns.PICKS``), before any check; "" of any other."""
     members = len(window)
-    if not selector.needs_scores or members < window.capacity:
+    if not selector.needs_scores or not window.is_full:
         return ""
     if selection.undefined == members:
         return "undefined"

@@ -16,13 +16,13 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from rbtm_bench.backends.base import Backend, Prepared
+from rbtm_bench.backends.base import Prepared
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan, read_only
 from rbtm_bench.datasets.base import ATTRIBUTES, Dataset, Relations
-from rbtm_bench.odometry import checked, judge
+from rbtm_bench.odometry import checked
 from rbtm_bench.odometry.method import Method, Work
-from rbtm_bench.pairs.codec import pair_key
+from rbtm_bench.pairs.codec import Outcome, pair_key
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.pairs.watched import Watch
 from rbtm_bench.selection.window import Window
@@ -42,26 +42,22 @@ class Bounded(Generic[T]):
     """A dictionary that forgets the least recently used items beyond ``limit`` bytes."""
 
     def __init__(self, limit: float) -> None:
-        self.limit, self.used = limit, 0.0
+        self._limit, self._used = limit, 0.0
         self._items: OrderedDict[Any, tuple[T, float]] = OrderedDict()
-
-    def __len__(self) -> int:
-        return len(self._items)
 
     def get(self, key: Any) -> T | None:
         """The item, or None; it is now the most recently used."""
-        entry = self._items.get(key)
-        if entry is None:
+        if key not in self._items:
             return None
         self._items.move_to_end(key)
-        return entry[0]
+        return self._items[key][0]
 
     def put(self, key: Any, item: T, size: float) -> T:
         """Keep an item of ``size`` bytes, at the cost of older ones."""
         self._items[key] = (item, size)
-        self.used += size
-        while self.used > self.limit and len(self._items) > 1:
-            self.used -= self._items.popitem(last=False)[1][1]
+        self._used += size
+        while self._used > self._limit and len(self._items) > 1:
+            self._used -= self._items.popitem(last=False)[1][1]
         return item
 
 
@@ -91,10 +87,6 @@ class SharedDataset(Dataset):
             self._scans.put(index, scan, size)
         return scan if self.watch is None else self.watch.scan(scan)
 
-    def __iter__(self) -> Iterator[Scan]:
-        for index in range(len(self)):
-            yield self[index]
-
     def fingerprint(self) -> str:
         return self.plain.fingerprint()
 
@@ -103,82 +95,13 @@ class SharedDataset(Dataset):
         return self.plain.relations
 
 
-class KnownRegistrations:
-    """A backend's prepared scans and registrations of one data set: each computed once."""
+class Memory:
+    """What a process keeps of one data set, each kind within its bound of bytes."""
 
-    def __init__(
-        self,
-        backend: Backend,
-        store: PairStore | None,
-        common: bytes,
-        scans: Bounded[tuple[Prepared, float]],
-        results: Bounded[RegistrationResult | BackendError],
-        judge_points: int = judge.MAX_POINTS,
-        own: bytes | None = None,
-    ) -> None:
-        """``common`` tells this data set, backend and ``judge_points`` from others in ``store``
-        and in the memories ``scans`` and ``results``, which several backends share. With ``own``,
-        which tells strangers in this process apart as well, new pairs are stored under that."""
-        self.backend, self._store, self._common, self._own = backend, store, common, own
-        self.scans, self.results = scans, results
-        self._judge_points = judge_points
-
-    def prepare(self, scan: Scan) -> tuple[Prepared, float]:
-        """As ``Work.prepare``."""
-        key = (self._common, scan.index)
-        known = self.scans.get(key)
-        if known is not None:
-            return known
-        started = time.perf_counter()
-        prepared = checked.prepared(self.backend, scan)
-        seconds = time.perf_counter() - started
-        size = prepared.points.nbytes * NATIVE_SHARE + 2000
-        return self.scans.put(key, (prepared, seconds), size)
-
-    def register(
-        self, source: Prepared, target: Prepared, T_target_source: Array
-    ) -> RegistrationResult:
-        """As ``Work.register``; the result says whether it was reused."""
-        key = (self._common, source.key, target.key, T_target_source.tobytes())
-        outcome = self.results.get(key)
-        if outcome is None:
-            outcome = self._stored_or_new(source, target, T_target_source)
-            self.results.put(key, _reused(outcome), RESULT_BYTES)
-        if isinstance(outcome, BackendError):
-            raise BackendError(str(outcome))  # a new one: a raised error keeps its frames alive
-        return outcome
-
-    def _stored_or_new(
-        self, source: Prepared, target: Prepared, T_target_source: Array
-    ) -> RegistrationResult | BackendError:
-        if self._store is None:
-            return self._compute(source, target, T_target_source)
-        content = source.digest + target.digest
-        pair = (target.key, source.key[0][0], T_target_source, content)
-        key = pair_key(self._common, *pair)
-        known = self._store.get(key)
-        if known is None and self._own is not None:
-            key = pair_key(self._own, *pair)
-            known = self._store.get(key)
-        if known is not None:
-            return _reused(known)
-        outcome = self._compute(source, target, T_target_source)
-        self._store.put(key, outcome)
-        return outcome
-
-    def _compute(
-        self, source: Prepared, target: Prepared, T_target_source: Array
-    ) -> RegistrationResult | BackendError:
-        try:
-            most = self._judge_points
-            return judge.register(self.backend, source, target, T_target_source, most)
-        except BackendError as error:
-            return error.with_traceback(None)
-
-
-def _reused(outcome: RegistrationResult | BackendError) -> RegistrationResult | BackendError:
-    """The outcome as whoever asks again gets it."""
-    return outcome if isinstance(outcome, BackendError) else replace(outcome, reused=True)
+    def __init__(self, prepared: float, results: float, guesses: float) -> None:
+        self.prepared: Bounded[tuple[Prepared, float]] = Bounded(prepared)
+        self.results: Bounded[Outcome] = Bounded(results)
+        self.guesses: Bounded[Array] = Bounded(guesses)
 
 
 class KnownScores:
@@ -238,20 +161,33 @@ def _blocks_of(dataset: Dataset) -> Iterator[list[Scan]]:
 
 class SharedWork(Work):
     """A run's work, answered from what earlier runs of the process, or of others, have computed.
-    ``scores`` and ``guesses`` are None where nothing of that kind can be shared."""
+
+    ``contexts`` tell this data set and backend from others; registrations known under any of them
+    are answers, new ones are kept under the last. ``scores`` and ``guess_key`` are None where
+    nothing of that kind can be shared.
+    """
 
     def __init__(
         self,
         method: Method,
-        registrations: KnownRegistrations,
+        memory: Memory,
+        store: PairStore | None,
+        contexts: Sequence[bytes],
         scores: KnownScores | None,
-        guesses: Bounded[Array] | None,
+        guess_key: str | None,
     ) -> None:
         super().__init__(method)
-        self._registrations, self._scores, self._guesses = registrations, scores, guesses
+        self._memory, self._store, self._contexts = memory, store, contexts
+        self._scores, self._guess_key = scores, guess_key
 
     def prepare(self, scan: Scan) -> tuple[Prepared, float]:
-        return self._registrations.prepare(scan)
+        key = (self._contexts[-1], scan.index)
+        known = self._memory.prepared.get(key)
+        if known is None:
+            known = super().prepare(scan)
+            size = known[0].points.nbytes * NATIVE_SHARE + 2000
+            self._memory.prepared.put(key, known, size)
+        return known
 
     def describe(self, scans: Sequence[Scan]) -> tuple[Descriptor, float]:
         return super().describe(scans) if self._scores is None else self._scores.describe(scans)
@@ -264,15 +200,45 @@ class SharedWork(Work):
         return self._scores.scores(window, scan, motions)
 
     def predict(self, model: Node, scan: Scan, recent: Sequence[Node]) -> Array:
-        if self._guesses is None:
+        if self._guess_key is None:
             return super().predict(model, scan, recent)
-        known = self._guesses.get((model.scan, scan.index))
+        key = (self._guess_key, model.scan, scan.index)
+        known = self._memory.guesses.get(key)
         if known is None:
             motion = super().predict(model, scan, recent)
-            known = self._guesses.put((model.scan, scan.index), motion, GUESS_BYTES)
+            known = self._memory.guesses.put(key, motion, GUESS_BYTES)
         return known
 
     def register(
         self, source: Prepared, target: Prepared, T_target_source: Array
     ) -> RegistrationResult:
-        return self._registrations.register(source, target, T_target_source)
+        if len(target.key) > 1:  # placed by the run's own estimates: nobody else asks for it
+            return super().register(source, target, T_target_source)
+        key = (self._contexts[-1], source.key, target.key, T_target_source.tobytes())
+        outcome = self._memory.results.get(key)
+        if outcome is None:
+            outcome = self._stored_or_new(source, target, T_target_source)
+            again = outcome if isinstance(outcome, BackendError) else replace(outcome, reused=True)
+            self._memory.results.put(key, again, RESULT_BYTES)
+        if isinstance(outcome, BackendError):
+            raise BackendError(str(outcome))  # a new one: a raised error keeps its frames alive
+        return outcome
+
+    def _stored_or_new(self, source: Prepared, target: Prepared, T_target_source: Array) -> Outcome:
+        if self._store is None:
+            return self._computed(source, target, T_target_source)
+        pair = target.key, source.key[0][0], T_target_source, source.digest + target.digest
+        for context in self._contexts:
+            key = pair_key(context, *pair)
+            known = self._store.get(key)
+            if known is not None:
+                return known
+        outcome = self._computed(source, target, T_target_source)
+        self._store.put(key, outcome)
+        return outcome
+
+    def _computed(self, source: Prepared, target: Prepared, T_target_source: Array) -> Outcome:
+        try:
+            return super().register(source, target, T_target_source)
+        except BackendError as error:
+            return error.with_traceback(None)

@@ -42,8 +42,7 @@ def is_system(run: Run) -> bool:
 
 def section(run: Run, group: str) -> dict[str, Any]:
     """The settings of a group; empty if it has none."""
-    node = run.config.get(group)
-    return node if isinstance(node, dict) else {}
+    return run.section(group)
 
 
 def numbers(run: Run, group: str) -> dict[str, float]:
@@ -98,7 +97,7 @@ def data_name(run: Run) -> str:
     data = section(run, "dataset")
     detail = _path_stem(data["path"]) if data.get("path") else data.get("environment")
     name = choice(run, "dataset")
-    return unbroken(f"{name} ({detail})") if detail else name
+    return unbroken(f"{name} ({detail})") if detail and detail != name else name
 
 
 def data_key(run: Run) -> str:
@@ -211,7 +210,8 @@ def method_order(run: Run) -> tuple[Any, ...]:
 
 def method_names(runs: Sequence[Run]) -> dict[Run, str]:
     """Every run's selector, and whatever else differs between methods, without its seed."""
-    others = distinctions(runs, ("guess", "search", "check", "recovery", "target", "similarity"))
+    groups = ("guess", "search", "check", "recovery", "target", "loops", "similarity")
+    others = distinctions(runs, groups)
     settings = varying(runs, "selector", skip=(*ALWAYS, "gaps_from", "gaps"))
     folders = {run.path.resolve(): run for run in runs}
     folders.update({Path(folder_name(run)): run for run in runs})

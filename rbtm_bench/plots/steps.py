@@ -28,6 +28,7 @@ MARKS: dict[str, tuple[str, dict[str, Any]]] = {
     ),
     "predicted": ("predicted", {"marker": "x", "color": style.BLUE, "ms": 4.5, "mew": 1.0}),
     "skipped": ("skipped", {"marker": "|", "color": style.BLACK, "ms": 5.0, "mew": 0.8}),
+    "still": ("still", {"marker": "_", "color": "0.5", "ms": 4.0, "mew": 0.8}),
     "unusable": (
         "unusable",
         {"marker": "s", "mec": style.SKY, "mfc": "none", "ms": 4.5, "mew": 1.0},

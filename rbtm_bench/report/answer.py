@@ -7,12 +7,12 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from rbtm_bench.report import better, render
-from rbtm_bench.report.best_settings import BOUND, ERRORS, champion
+from rbtm_bench.report import better, render, rotation
+from rbtm_bench.report.best_settings import ERRORS, NO_METHODS, champion
 from rbtm_bench.report.frame import MethodRuns, table_of
 from rbtm_bench.report.margin import margin_of
 from rbtm_bench.report.render import is_empty, is_numeric_cell, three_digits
-from rbtm_bench.report.replicates import draw_of, trajectory_of
+from rbtm_bench.report.replicates import SHIFTED, draw_of, trajectory_of
 from rbtm_bench.report.verdict import label
 from rbtm_bench.runs.stored import Run
 
@@ -82,6 +82,8 @@ def _won(group: Sequence[MethodRuns]) -> list[str]:
     if error is None or won is None:
         return ["winner: none, no row has an error (status)"]
     key, unit, _ = error
+    timing = rotation.line(group, key)
+    group = [m for m in group if m.row["selector"] != SHIFTED]
     of = len({_trajectories(m) for m in group})
     lines = [f"winner ({key}): {_name(won)}, {_spread(won, key, unit)}; {len(group)} rows"]
     lines[0] += f", {of} distinct" if of < len(group) else ""
@@ -99,14 +101,14 @@ def _won(group: Sequence[MethodRuns]) -> list[str]:
         count = f"{len(worse)} of {len(rows)}: " if worse else ""
         bar = f"{three_digits(min(known))} {unit}"
         lines.append(f"worse than no registration ({key} > {bar}): {count}{words}")
-    return lines
+    return [*lines[:2], *timing, *lines[2:]]
 
 
 def _champion(group: Sequence[MethodRuns], key: str) -> MethodRuns | None:
     """The ``champion`` of methods. One alone takes no table: pandas is imported in half the time of
     a small run."""
     if len(group) == 1:
-        return None if group[0].row["selector"] == BOUND else group[0]
+        return None if group[0].row["selector"] in NO_METHODS else group[0]
     table = table_of(group)
     best = champion(table, key)
     return None if best is None else group[table.index.get_loc(best.name)]
@@ -127,6 +129,7 @@ def _spread(method: MethodRuns, key: str, unit: str) -> str:
 def _tied(won: MethodRuns, group: Sequence[MethodRuns], key: str) -> str:
     """Those that the winner cannot be called better than, after Holm over all of them."""
     others = [m for m in group if m is not won and is_numeric_cell(m.row[key])]
+    others = [m for m in others if m.row["selector"] not in NO_METHODS]
     margin = margin_of(list(group), key)
     compared = [(m, better.compare(won, m, key, margin)) for m in others]
     known = [(m, one) for m, one in compared if one is not None]
@@ -174,6 +177,10 @@ def alarms(methods: Sequence[MethodRuns]) -> list[str]:
         if method.row["backend"] != "none" and (words := idle_threshold(method.row)):
             by_words.setdefault(words, []).append(_name(method))
     lines += [f"alarm (decided): {words}: {_few(names)}" for words, names in by_words.items()]
+    no_controls = [_name(m) for m in methods if rotation.is_previous(m.row)]
+    if no_controls:
+        what = "picks the scan before every time, no control"
+        lines.append(f"alarm (mean_gap): {what}: {_few(no_controls)}")
     lines += [f"alarm (trajectory_sha256): {line}" for line in equals(methods)]
     cautions = dict.fromkeys(
         line.removeprefix("data: ") for run in runs for line in run.record.get("readings") or []
@@ -221,7 +228,8 @@ def equals(methods: Sequence[MethodRuns]) -> list[str]:
     """Methods that register and whose trajectories are equal to the bit, run for run."""
     groups: dict[Any, list[MethodRuns]] = {}
     for method in methods:
-        if method.row["backend"] != "none" and (known := _trajectories(method)):
+        is_other = method.row["backend"] != "none" and not rotation.is_previous(method.row)
+        if is_other and (known := _trajectories(method)):
             groups.setdefault((method.row["data"], known), []).append(method)
     lines = []
     for group in groups.values():
@@ -230,8 +238,18 @@ def equals(methods: Sequence[MethodRuns]) -> list[str]:
             what = "settings that never bind: " if len(bare) == 1 else ""
             few = [*map(_name, group[:NAMED])]
             few += [f"{len(group) - NAMED} more"] if len(group) > NAMED else []
-            lines.append(f"{what}{' = '.join(few)} bit for bit")
+            lines.append(f"{_why_equal(group)}{what}{' = '.join(few)} bit for bit")
     return lines
+
+
+def _why_equal(group: Sequence[MethodRuns]) -> str:
+    """What it says of a threshold that its rows are those of a control."""
+    selectors = {m.row["selector"] for m in group}
+    if not selectors & set(rotation.RBTM):
+        return ""
+    if "oldest" in selectors:
+        return "the threshold never decided: "
+    return "the threshold never reached back: " if "previous" in selectors else ""
 
 
 def _trajectories(method: MethodRuns) -> tuple[Any, ...]:

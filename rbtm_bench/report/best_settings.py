@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 ERRORS = tuple((column.name, column.unit, column.title) for column in MAIN)
 """What methods are compared by: the first of these that the runs on a data set have."""
 
-BEST = (*METHOD, "seeds", "replicates", "status", "coverage")
+BEST = (*METHOD, "control", "seeds", "replicates", "status", "coverage")
 """The columns of the table of best settings, before the errors, ms_per_scan and tried."""
 
-BOUND = "oracle"
-"""The selector that sees the truth: a bound, it wins nothing."""
+NO_METHODS = ("oracle", "shifted_gap")
+"""Selectors that win nothing: what sees the truth is a bound, rotations are a test."""
 
 MOST_LISTED = 4
 """Names or sentences of a kind at most, so that a screen holds all."""
@@ -41,9 +41,9 @@ def main_errors(table: pd.DataFrame) -> list[str]:
 
 
 def champion(rows: pd.DataFrame, key: str) -> pd.Series[Any] | None:
-    """The ``winner`` over all rows of a data set but those that see the truth; of equal ones one
-    without a threshold, which did it for less."""
-    rows = rows[rows["selector"] != BOUND]
+    """The ``winner`` over all rows of a data set but ``NO_METHODS``; of equal ones one without a
+    threshold, which did it for less."""
+    rows = rows[~rows["selector"].isin(NO_METHODS)]
     won = winner(rows, key)
     if won is None or "threshold" not in rows:
         return won
@@ -54,7 +54,8 @@ def champion(rows: pd.DataFrame, key: str) -> pd.Series[Any] | None:
 
 def ranked(table: pd.DataFrame) -> pd.DataFrame:
     """The rows of every data set by their main error, the ``champion`` first and marked in
-    ``render.WINNER``; those without a number last. A table that is marked stays as it is."""
+    ``render.WINNER``; those without a number last. Controls that were added have a plus there. A
+    table that is marked stays as it is."""
     import pandas as pd
 
     if WINNER in table:
@@ -69,6 +70,8 @@ def ranked(table: pd.DataFrame) -> pd.DataFrame:
         if won is not None:
             rows = rows.loc[[won.name, *(i for i in rows.index if i != won.name)]]
         marks = ["*" if won is not None and i == won.name else "" for i in rows.index]
+        added = rows["control"].notna() if "control" in rows else [False] * len(rows)
+        marks = [mark + "+" * bool(control) for mark, control in zip(marks, added, strict=True)]
         parts.append(rows.assign(**{WINNER: marks}))
     return pd.concat(parts)[[WINNER, *table]] if parts else table
 

@@ -88,6 +88,18 @@ def _tum(run: Run) -> Write:
     return lambda path: path.write_bytes(content)
 
 
-FORMATS: dict[str, Callable[[Run], Write]] = {"csv": _csv, "parquet": _parquet, "tum": _tum}
-"""Formats by name: what reads a run and gives the function that writes it (a graph's g2o: one line
-more)."""
+def _g2o(run: Run) -> Write:
+    path = run.path / "graph.g2o"
+    if not path.is_file():
+        raise DataError(f"{run.path}: has no pose graph: a run with loops= keeps one")
+    content = path.read_bytes()
+    return lambda partial: partial.write_bytes(content)
+
+
+FORMATS: dict[str, Callable[[Run], Write]] = {
+    "csv": _csv,
+    "parquet": _parquet,
+    "tum": _tum,
+    "g2o": _g2o,
+}
+"""Formats by name: what reads a run and gives the function that writes it."""

@@ -22,7 +22,7 @@ METHOD = ("data", "backend", "selector", "window", "threshold", "settings")
 """The columns that say what was compared on what."""
 
 FIRST = (
-    *("run", "status", "dataset", *METHOD, "seed", "replicate", "scans"),
+    *("run", "status", "dataset", *METHOD, "control", "seed", "replicate", "scans"),
     *(column.name for column in COLUMNS if column.table and not column.cost),
     "seconds",
     *(column.name for column in COLUMNS if column.table and column.cost),
@@ -47,6 +47,7 @@ def row(run: Run, label: str = "", data: str = "") -> dict[str, Any]:
         "window": selector.get("window"),
         "threshold": selector.get("threshold"),
         "settings": label,
+        "control": (run.record.get("control") or {}).get("how"),
         "seed": run.record.get("seed"),
         "replicate": number_of(run),
         "scans": run.record.get("scans"),
@@ -60,7 +61,8 @@ def row(run: Run, label: str = "", data: str = "") -> dict[str, Any]:
 
 
 LABELLED = (
-    *("similarity", "guess", "search", "check", "recovery", "target", "metrics", "backend", ""),
+    *("similarity", "guess", "search", "check", "recovery", "target", "loops"),
+    *("metrics", "backend", ""),
 )
 """The groups whose differences a label names, beside the selector's; "": settings outside all."""
 COLUMNED = ("selector.window", "selector.threshold")

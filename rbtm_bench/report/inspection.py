@@ -82,6 +82,8 @@ def run_text(run: Run) -> str:
         text = f"{choice}: {' '.join(f'{k}={_word(v)}' for k, v in values.items())}"
         lines += _entry("data" if group == "dataset" else group, text.rstrip(": "))
         lines += _entry("", ", ".join(words)) if group == "dataset" else []
+    if control := record.get("control"):
+        lines += _entry("control", f"{control['how']}; of {control['of']}")
     if record.get("replicate"):
         lines += _entry("replicate", _replicate(record["replicate"]))
     rest = {

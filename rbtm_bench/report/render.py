@@ -21,6 +21,7 @@ FORMATS = ("text", "csv", "md", "latex", "html", "json")
 
 SHORT = (
     *METHOD,
+    "control",
     "seeds",
     "replicates",
     "status",
@@ -34,7 +35,10 @@ WINNER = "won"
 ALWAYS = (WINNER, "backend", "selector", "tried")
 
 
-LAST_TO_GO = ("status", "seeds", "replicates", "coverage", "decided", "ms_per_scan")
+LAST_TO_GO = (
+    *("status", "seeds", "replicates", "coverage", "worst", "quartiles", "control", "decided"),
+    "ms_per_scan",
+)
 """Columns that a narrow terminal loses last, in this order; before them all others from the right,
 except those that are always kept."""
 HEAD = 2

@@ -26,6 +26,10 @@ OF_MAIN = ("q1", "q3", "worst", "unperturbed")
 """Ends of the columns that stand behind a main error where there are replicates."""
 
 
+SHIFTED = "shifted_gap"
+"""The selector whose runs are rotations of one run's gaps: together they are one row."""
+
+
 def number_of(run: Run) -> int:
     """Which replicate a run is; 0: the data as they are."""
     return int((run.record.get("replicate") or {}).get("number") or 0)
@@ -107,13 +111,16 @@ class Spread:
 
 
 def spread(runs: Sequence[Run], key: str) -> Spread | None:
-    """The spread of an error (of which less is better); None without replicates that have it."""
-    copies = [run for run in counted(runs) if number_of(run)]
+    """The spread of an error (of which less is better) over replicates, or over rotations; None
+    without any that have it."""
+    rotated = [run for run in runs if run.choices.get("selector") == SHIFTED and run.done]
+    copies = rotated or [run for run in counted(runs) if number_of(run)]
     values = [v for v in (value_of(run, key) for run in copies) if v is not None]
     if not values:
         return None
     q1, median, q3 = (float(q) for q in np.quantile(values, [0.25, 0.5, 0.75]))
-    plain = [value_of(run, key) for run in runs if run.done and number_of(run) == 0]
+    alone = [run for run in runs if run.done and number_of(run) == 0 and not rotated]
+    plain = [value_of(run, key) for run in alone]
     known = [value for value in plain if value is not None]
     unperturbed = float(np.median(known)) if known else None
     return Spread(median, q1, q3, min(values), max(values), len(values), unperturbed)
@@ -126,4 +133,6 @@ def spread_columns(runs: Sequence[Run], keys: Sequence[str]) -> dict[str, dict[s
         over = spread(runs, key)
         if over is not None:
             columns[key] = {f"{key}_{end}": getattr(over, end) for end in OF_MAIN}
+            if runs[0].choices.get("selector") == SHIFTED:
+                columns[key][key] = over.median
     return columns

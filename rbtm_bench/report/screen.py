@@ -26,6 +26,12 @@ NAMED = 2
 REASONS = 5
 """Reasons of failure that are listed at most."""
 
+CONTROLS = (
+    "+: a control that was not asked for (controls=none: without); keyframe and fixed_gap matched "
+    "to\n  how far the best rbtm reaches, shifted_gap its gaps at other times: their median"
+)
+"""What the mark means."""
+
 LINES = tuple(sorted((c for c in COLUMNS if c.line), key=lambda c: c.plain_unit in ("", "scans")))
 """The numbers in the summary of a run: errors and time, then shares and counts."""
 
@@ -36,6 +42,9 @@ def of_run(out: Path) -> str:
     row = frame.row(run)
     head = f"{row['dataset']}, {row['backend']}, {row['selector']}"
     lines = [f"{head}: {row['scans']} scans in {row['seconds']:.1f} s", *key_numbers(row)]
+    determined = run.record.get("determined") or ()
+    read = run.record.get("readings") or []
+    lines += [f"  {line}" for line in read if line.startswith(tuple(determined))]
     lines += [words] if (words := answer.dead_words(run)) else []
     if run.record.get("skipped_records"):
         lines.append(f"  {run.record['skipped_records']} malformed records were skipped")
@@ -125,13 +134,15 @@ def with_same(table: pd.DataFrame, columns: Sequence[str], keep: Sequence[str]) 
     lines = render.fitted(shown, (*keep, *frame.METHOD))  # what tells the rows apart stays
     notes = [f"the same in every row: {same}"] if same else []
     seeds = int(table["seeds"].max()) if table["seeds"].notna().any() else 1
-    if "quartiles" in shown:
+    if shown.get("unperturbed") is not None and shown["unperturbed"].notna().any():
         notes.append(
             "medians over distinct replicates (perturbed copies of the data); beside the main "
             "error its quartiles, the worst, and the run on the data as they are"
         )
     elif seeds > 1:
         notes.append(f"medians over the runs of a method that differ only in their seed ({seeds})")
+    if "control" in table and table["control"].notna().any():
+        notes.append(CONTROLS)
     return [*lines, *render.in_width(notes)]
 
 
@@ -153,7 +164,8 @@ def _with_spread(
     beside = ["quartiles", "worst", "unperturbed"]
     table = table.assign(**{name: [row.get(name) for row in rows] for name in beside})
     at = list(columns).index(main[0]) + 1
-    return table, [*columns[:at], *beside, *columns[at:]], (*keep, *beside)
+    copied = "replicates" in table and table["replicates"].notna().any()  # else: rotations alone
+    return table, [*columns[:at], *beside, *columns[at:]], (*keep, *(beside if copied else ()))
 
 
 def replicates_outside(methods: Sequence[MethodRuns]) -> list[str]:
@@ -266,7 +278,10 @@ def _other_versions(runs: Sequence[Run]) -> list[str]:
 
 
 def _repeated(runs: Sequence[Run]) -> list[str]:
-    groups = Counter((run.method, run.record.get("seed"), number_of(run)) for run in runs)
+    groups = Counter(
+        (run.method, run.record.get("seed"), number_of(run), run.section("selector").get("offset"))
+        for run in runs
+    )
     again = sum(count - 1 for count in groups.values())
     if not again:
         return []

@@ -6,17 +6,19 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rbtm_bench.report import better
-from rbtm_bench.report.best_settings import main_error, winner
+from rbtm_bench.report.best_settings import NO_METHODS, main_error, winner
 from rbtm_bench.report.better import DISTINCT, REPLICATES, SIGNIFICANT, Comparison
 from rbtm_bench.report.frame import MethodRuns
 from rbtm_bench.report.margin import margin_of
 from rbtm_bench.report.render import is_numeric_cell, three_digits
+from rbtm_bench.report.rotation import RBTM, is_previous
 
 if TYPE_CHECKING:
     import pandas as pd
 
-NO_CONTROL = ("rbtm", "rbtm_verified", "oracle")
-"""Selectors that rbtm is not held against: itself, and what sees the truth."""
+NO_CONTROL = (*RBTM, *NO_METHODS)
+"""Selectors that rbtm is not held against: itself, what sees the truth, and its own gaps, which
+have a test of their own (``report.rotation``)."""
 
 Pairs = dict[tuple[Any, Any], Comparison]
 """Comparisons by the rows of both sides."""
@@ -41,7 +43,7 @@ def verdict(
             continue
         key, unit, name = error
         known = rows.dropna(subset=[key]).astype({key: float})
-        ours, controls = known[known.selector == "rbtm"], known[~known.selector.isin(NO_CONTROL)]
+        ours, controls = known[known.selector == "rbtm"], known[_are_controls(known)]
         best, rival = winner(ours, key), winner(controls, key)
         if best is None or rival is None:
             continue
@@ -59,7 +61,7 @@ def verdict(
             if other is not None:
                 line += f"; {what} {three_digits(other[key])} {unit}, "
                 line += _words(best, other, key, pairs)
-        tries = rows.groupby("selector", sort=False).size()
+        tries = rows[~rows.selector.isin(NO_METHODS)].groupby("selector", sort=False).size()
         if say_tries and tries.max() > 1:
             line += ". Best of " + ", ".join(f"{n} x {s}" for s, n in tries.items())
             line += " settings, chosen on this very data"
@@ -82,12 +84,20 @@ def _comparisons(table: pd.DataFrame, methods: Sequence[MethodRuns]) -> Pairs:
             if backend == "none":
                 continue
             ours = rows[rows.selector == "rbtm"].index
-            others = [*rows[~rows.selector.isin(NO_CONTROL)].index, *nothing]
+            others = [*rows[_are_controls(rows)].index, *nothing]
             for i, j in ((i, j) for i in ours for j in others):
                 comparison = better.compare(runs[i], runs[j], error[0], margin)
                 if comparison is not None:
                     pairs[i, j] = comparison
     return dict(zip(pairs, better.adjusted(list(pairs.values())), strict=True))
+
+
+def _are_controls(rows: pd.DataFrame) -> list[bool]:
+    """Which rows rbtm is held against: no keyframe rule that is ``previous`` under another name."""
+    return [
+        row["selector"] not in NO_CONTROL and not is_previous(row)
+        for row in rows.to_dict("records")
+    ]
 
 
 def _words(ours: pd.Series[Any], other: pd.Series[Any], key: str, pairs: Pairs) -> str:

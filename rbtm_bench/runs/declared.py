@@ -19,9 +19,10 @@ PLUGIN_GROUPS = (
     "check",
     "recovery",
     "target",
+    "loops",
 )
 GROUPS = (*PLUGIN_GROUPS, "metrics")
-ADDED = {"search": "none", "recovery": "none"}
+ADDED = {"search": "none", "recovery": "none", "loops": "none"}
 """Groups that older runs do not name, with the member that does what was done before."""
 FOR_PAIRS = (
     "similarity",
@@ -31,8 +32,12 @@ FOR_PAIRS = (
     "check",
     "recovery",
     "target",
+    "loops",
     "guess_along_degenerate",
+    "guess_weight",
+    "motion_filter",
     "judge_points",
+    "judge_radius",
 )
 """The groups and settings that a backend which is a whole system does without."""
 
@@ -43,6 +48,13 @@ class Pairs(TypedDict):
     store: Literal["off", "shared", "per_worker"]
     folder: str | None
     memory_mb: Annotated[float, Gt(0)]
+
+
+class MotionFilterSettings(TypedDict):
+    """The settings of ``motion_filter``."""
+
+    distance: Annotated[float, Ge(0)]
+    angle_deg: Annotated[float, Ge(0)]
 
 
 class Perturbation(TypedDict):
@@ -101,9 +113,11 @@ class Shared(NamedTuple):
 SHARED = {
     "seed": Shared(Seed, Kind.SEED),
     "replicates": Shared(Annotated[int, Ge(1)], Kind.HOW),
+    "controls": Shared(Literal["auto", "none"], Kind.HOW),
     "replicate": Shared(Annotated[int, Ge(0)], Kind.SEED),
     "perturbation": Shared(Perturbation, Kind.WHAT),
     "perturb": Shared(Perturb, Kind.DATA),
+    "deskew": Shared(bool, Kind.DATA),
     "out": Shared(str | None, Kind.HOW),
     "overwrite": Shared(bool, Kind.HOW),
     "pictures": Shared(bool, Kind.HOW),
@@ -112,9 +126,13 @@ SHARED = {
     "time_limit": Shared(Annotated[float, Gt(0)] | None, Kind.HOW),
     "memory_limit": Shared(Annotated[float, Gt(0)] | None, Kind.HOW),
     "map_resolution": Shared(Annotated[float, Gt(0)], Kind.HOW),
+    "guess_weight": Shared(Annotated[float, Gt(0)] | None, Kind.WHAT),
+    "motion_filter": Shared(MotionFilterSettings, Kind.WHAT),
     "guess_along_degenerate": Shared(Annotated[float, Gt(0), Lt(1)] | None, Kind.WHAT),
     "judge_points": Shared(Annotated[int, Ge(100)], Kind.WHAT),
+    "judge_radius": Shared(Annotated[float, Gt(0)] | None, Kind.WHAT),
     "registration": Shared(None, Kind.FEED),
+    "selection": Shared(None, Kind.FEED),
     "descriptor": Shared(None, Kind.FEED),
 }
 """Every setting outside the groups. Whatever else stands in a config is WHAT."""

@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from rbtm_bench.core.columns import REFERENCES
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.files import write_json
 from rbtm_bench.core.geometry import inverse
+from rbtm_bench.core.loop_columns import LOOPED
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.datasets.association import nearest
 from rbtm_bench.datasets.base import Dataset
@@ -32,18 +34,26 @@ def evaluate(
     dataset: Dataset,
     first: int,
     known: dict[str, Any] | None = None,
+    looped: Trajectory | None = None,
 ) -> tuple[dict[str, Any], Any]:
     """What is ``known``, every number of the poses from scan ``first`` on, and the error of every
-    relation if there are relations: one that begins before has none."""
+    relation if there are relations: one that begins before has none. With ``looped`` the same
+    numbers of that trajectory, behind ``looped_``."""
     if first:
         dataset, estimate = Since(dataset, first), estimate.since(first)
         truth = None if truth is None else truth.since(first)
+        looped = None if looped is None else looped.since(first)
     values: dict[str, Any] = dict(known or {})
     errors = None
     for metric in metrics:
         values |= evaluated(metric, estimate, truth, dataset, taken=values)
         if isinstance(metric, RelationError) and dataset.relations is not None:
             errors = metric.errors(estimate, dataset.relations)
+    if looped is not None:
+        for metric in metrics:
+            again = evaluated(metric, looped, truth, dataset).items()
+            own = {k: v for k, v in again if not k.endswith(tuple(REFERENCES))}
+            values |= {f"{LOOPED}{key}": value for key, value in own.items()}
     return values, errors
 
 
@@ -81,9 +91,11 @@ def write_metrics(
     estimate: Trajectory,
     truth: Trajectory | None,
     dataset: Dataset,
+    looped: Trajectory | None = None,
 ) -> None:
     """``metrics.json`` and, with relations, ``relations.parquet``."""
-    values, errors = evaluate(metrics, estimate, truth, dataset, dataset.scored_from, of_steps)
+    first = dataset.scored_from
+    values, errors = evaluate(metrics, estimate, truth, dataset, first, of_steps, looped)
     if errors is not None:
         errors.write(out / RELATIONS)
     write_json(out / "metrics.json", values)
@@ -96,12 +108,13 @@ def write_common(
     estimate: Trajectory,
     truth: Trajectory | None,
     dataset: Dataset,
+    looped: Trajectory | None = None,
 ) -> None:
     """``metrics_common.json`` of an unperturbed run that has replicates."""
     if config.get("replicate") or config.get("replicates", 1) < 2:
         return
     first = measured(dataset).latest_start(of_data(config))
-    write_json(out / COMMON, evaluate(metrics, estimate, truth, dataset, first)[0])
+    write_json(out / COMMON, evaluate(metrics, estimate, truth, dataset, first, None, looped)[0])
 
 
 def checksum(estimate: Trajectory, first: int) -> str:

@@ -2,7 +2,8 @@
 
 A run folder holds ``config.yaml`` (resolved), ``run.json`` (status and provenance),
 ``steps.parquet`` (a row a scan), ``trajectory.tum``, ``metrics.json`` and ``map.npz``, and, where
-they exist, ``ground_truth.tum``, ``similarity.npz``, ``relations.parquet`` (the error of every
+they exist, ``ground_truth.tum``, ``looped.tum`` and ``graph.g2o`` (the trajectory with its loops
+closed, and the pose graph behind it), ``similarity.npz``, ``relations.parquet`` (the error of every
 relation) and ``metrics_common.json`` (``evaluation.COMMON``). Every file appears whole or not at
 all.
 """
@@ -31,29 +32,38 @@ from rbtm_bench.core.errors import (
     WriteError,
     one_line,
 )
-from rbtm_bench.core.files import make_folder, write_atomically, write_json, write_text
+from rbtm_bench.core.files import make_folder, write_json, write_text
 from rbtm_bench.core.kernels import make_ready
 from rbtm_bench.core.process import settle
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array, Scan, StepTable, read_only
 from rbtm_bench.datasets.base import Dataset
+from rbtm_bench.loops.base import Loops, Route
 from rbtm_bench.metrics.base import Metric
 from rbtm_bench.metrics.cost import peak_memory_mb
 from rbtm_bench.metrics.relation_errors import FILE as RELATIONS
 from rbtm_bench.metrics.summary import REGISTERED, summarise_steps, why_unregistered
 from rbtm_bench.odometry.loop import odometry
-from rbtm_bench.odometry.method import Method, Work
+from rbtm_bench.odometry.method import Method, MotionFilter, Work
 from rbtm_bench.odometry.system import system_odometry
 from rbtm_bench.pairs.shared import SharedDataset
 from rbtm_bench.pairs.watched import Watch, WatchedWork
-from rbtm_bench.runs import evaluation, provenance, replicate
+from rbtm_bench.runs import evaluation, first_part, provenance, replicate
 from rbtm_bench.runs.claim import claimed, refuse_existing
 from rbtm_bench.runs.declared import PLUGIN_GROUPS
+from rbtm_bench.runs.looped import FILES as LOOP_FILES
+from rbtm_bench.runs.looped import close_loops
+from rbtm_bench.runs.pictures import write_pictures
 from rbtm_bench.runs.pinning import pin_to_free_core
-from rbtm_bench.runs.plugins import foreign_modules, foreign_plugins, is_system, locate
+from rbtm_bench.runs.plugins import (
+    foreign_modules,
+    foreign_plugins,
+    is_system,
+    locate,
+    unfillable,
+)
 from rbtm_bench.runs.settings import Settings
 from rbtm_bench.runs.steps import write_steps
-from rbtm_bench.similarity.base import Similarity
 
 Progress = Callable[[int, int], None]
 """Called with scans done and scans in all."""
@@ -64,10 +74,8 @@ TRACE = 20_000
 """Characters of a traceback that are kept: an error's own words may fill a disk."""
 REGISTERING = ("backend", "search")
 """The groups that are one backend to the loop."""
-SIMILARITY_PICTURE = 181
-"""Scans at most in the similarity matrix that a run keeps: the paper's Fig. 1(c)."""
-
-
+APART = ("dataset", *REGISTERING, "loops")
+"""The groups that are no part of what the loop itself asks for."""
 BLOCK = 256
 """Scans that a run reads ahead."""
 
@@ -81,6 +89,9 @@ class Parts:
     method: Method | System
     metrics: tuple[Metric, ...]
     work: Work | None = None
+    determined: first_part.Determined | None = None
+    """Settings that followed from the data's first part."""
+    loops: Loops | None = None
 
 
 class Bench(Protocol):
@@ -108,7 +119,7 @@ def run(
     refuse_existing(out, overwrite)
     core = pin_to_free_core() if settings.config["pin"] else None
     parts = bench.parts(settings) if bench else instantiate(settings)
-    record = provenance.of_run(settings, parts.dataset, core)
+    record = provenance.of_run(settings, parts.dataset, core, parts.determined)
     if opened:
         opened(parts.dataset)
     with claimed(out, overwrite):
@@ -160,37 +171,43 @@ def instantiate(settings: Settings) -> Parts:
     """
     plain = replicate.copy_of(build(settings.config["dataset"]), settings.config)
     check_fit(settings, plain)
-    config = replicate.with_moved(settings.config, plain)
-    watch = Watch(UNSHARED_BYTES) if foreign_modules(config) else None
+    watch = Watch(UNSHARED_BYTES) if foreign_modules(settings.config) else None
     dataset = SharedDataset(plain, 0.0, watch)
-    method, metrics = build_method(config), build_metrics(config)
-    if watch is None or isinstance(method, System):
-        return Parts(dataset, method, metrics)
-    return Parts(dataset, method, metrics, WatchedWork(Work(method), watch))
+    config = settings.config
+    if is_system(config):
+        config = replicate.with_moved(config, plain)
+        return Parts(dataset, build(config["backend"]), build_metrics(config))
+    known = first_part.determined(config, dataset, method_of)
+    config = replicate.with_moved(first_part.filled(config, known.values), plain)
+    method, loops = method_of(config), build(config["loops"])
+    work = None if watch is None else WatchedWork(Work(method), watch)
+    return Parts(dataset, method, build_metrics(config), work, known, loops)
 
 
-def build_method(
-    config: dict[str, Any], given: Mapping[str, Any] = MappingProxyType({})
-) -> Method | System:
-    """What is compared: the system of resolved settings, or all that goes with their backend;
-    plug-ins that are ``given`` by group are taken as they are."""
-    if "backend" not in given and is_system(config):
-        system: System = build(config["backend"])
-        return system
-    groups = [group for group in PLUGIN_GROUPS if group != "dataset"]
-    made = {g: given[g] if g in given else build(config[g]) for g in groups}
-    return Method(
-        backend=made.pop("search").before(made.pop("backend")),
-        **made,
-        guess_along_degenerate=config["guess_along_degenerate"],
-        judge_points=config["judge_points"],
-    )
+def method_of(config: Mapping[str, Any], given: Mapping[str, Any] = MappingProxyType({})) -> Method:
+    """The method of resolved settings, all of its plug-ins new but for those that are ``given`` by
+    group."""
+    groups = (group for group in PLUGIN_GROUPS if group not in APART)
+    plugins = {g: given[g] if g in given else build(config[g]) for g in groups}
+    backend = build_backend(config, given.get("backend"))
+    return Method(backend=backend, **plugins, **loop_settings(config))
 
 
-def build_backend(config: dict[str, Any]) -> Backend:
-    """The backend of resolved settings, behind their search."""
-    backend: Backend = build(config["search"]).before(build(config["backend"]))
+def build_backend(config: Mapping[str, Any], given: Backend | None = None) -> Backend:
+    """The backend of resolved settings, or the one that is ``given``, behind their search."""
+    plain = build(config["backend"]) if given is None else given
+    backend: Backend = build(config["search"]).before(plain)
     return backend
+
+
+def loop_settings(config: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of a ``Method`` that are no plug-ins."""
+    names = ("guess_along_degenerate", "guess_weight", "judge_points", "judge_radius")
+    return {
+        **{name: config[name] for name in names},
+        "motion_filter": MotionFilter(**config["motion_filter"]),
+        "edges_from": build(config["loops"]).covariance_from,
+    }
 
 
 def backend_node(config: dict[str, Any]) -> dict[str, Any]:
@@ -214,7 +231,13 @@ def check_fit(settings: Settings, dataset: Dataset) -> None:
     check_dimensions(settings, dataset.planar)
     if is_system(config):
         return
-    build(config["guess"]).check(dataset)
+    guess = build(config["guess"])
+    guess.check(dataset)
+    if all(config["motion_filter"].values()) and not (guess.needs_odometry or guess.needs_backend):
+        raise ConfigError(
+            f"motion_filter asks the guess whether the sensor moves, which guess="
+            f"{settings.choices.get('guess')} does not measure: expected odometry or chain"
+        )
     _check_selector(settings, dataset)
 
 
@@ -239,8 +262,15 @@ def _check_selector(settings: Settings, dataset: Dataset) -> None:
     config, choices = settings.config, settings.choices
     name = f"selector={choices.get('selector')}"
     selector = locate("selector", config["selector"]["_target_"])
-    if getattr(selector, "needs_scores", False):
-        build(config["similarity"]).check(dataset)
+    loops = locate("loops", config["loops"]["_target_"])
+    if getattr(selector, "needs_scores", False) or getattr(loops, "needs_scores", False):
+        similarity = build(config["similarity"])
+        similarity.check(dataset)
+        if getattr(loops, "needs_scores", False) and similarity.needs_guess:
+            raise ConfigError(
+                f"loops={choices.get('loops')} looks places up by their descriptors, and "
+                f"similarity={choices.get('similarity')} compares under a guess: expected another"
+            )
     if getattr(selector, "needs_truth", False) and not dataset.has_ground_truth:
         path = config["dataset"].get("path")
         where = f"dataset={choices.get('dataset')}" + (f" ({path})" if path else "")
@@ -254,6 +284,8 @@ def _check_selector(settings: Settings, dataset: Dataset) -> None:
             f"{name} needs a check, and check={choices.get('check')} accepts everything: "
             "expected one that can reject, such as check=gated"
         )
+    if too_few := unfillable(config):
+        raise ConfigError(f"{name} {too_few} that target={choices.get('target')} needs")
 
 
 def build(node: dict[str, Any]) -> Any:
@@ -327,6 +359,7 @@ def _execute(
     steps, poses = StepTable(), []
     truth: list[Array] = []
     own = os.getpid()
+    work, route = parts.work, Route()
 
     def stream() -> Iterator[Scan]:
         for scan in dataset:
@@ -338,12 +371,15 @@ def _execute(
         stepping = system_odometry(stream(), parts.method)
     else:  # a stranger's plug-ins are looked after scan by scan
         block = BLOCK if dataset.watch is None else 1
-        stepping = odometry(stream(), parts.method, parts.work, block)
+        work = work or Work(parts.method)
+        stepping = odometry(stream(), parts.method, work, block)
     for step in stepping:
         if os.getpid() != own:
             os._exit(1)  # a twin that a plug-in has forked and not ended: there is one run
         steps.add(step.record)
         poses.append(step.T_world_scan)
+        if parts.loops and not parts.loops.is_off:
+            route.add(step)
         if dataset.watch is not None:  # before the next scan's plug-ins see it
             dataset.watch.hand(f"scan {step.record.scan}'s pose", step.T_world_scan)
         if progress:
@@ -356,54 +392,18 @@ def _execute(
     estimate.write_tum(out / "trajectory.tum")
     if reference is not None and reference.known.all():
         reference.write_tum(out / "ground_truth.tum")
-    judged = (parts.metrics, estimate, reference, dataset)
-    evaluation.write_metrics(out, summarise_steps(steps, memory), *judged)
+    looped, counts = close_loops(parts.loops, route, stamps, dataset, work, out)
+    judged = (parts.metrics, estimate, reference, dataset, looped)
+    evaluation.write_metrics(out, {**summarise_steps(steps, memory), **counts}, *judged)
     evaluation.write_common(out, settings.config, *judged)
     if settings.config["pictures"]:
-        _write_pictures(parts, estimate, float(settings.config["map_resolution"]), out)
+        write_pictures(dataset, parts.method, estimate, settings.config["map_resolution"], out)
     return {
         "seconds": seconds,
         "registered": sum(status in REGISTERED for status in steps["status"]),
         "why_unregistered": why_unregistered(steps),
         "trajectory_sha256": evaluation.checksum(estimate, dataset.scored_from),
     }
-
-
-def _write_pictures(parts: Parts, estimate: Trajectory, resolution: float, out: Path) -> None:
-    """What pictures need beyond the steps: the map, as points and as an occupancy grid of what
-    planar scans saw, and a similarity matrix."""
-    from rbtm_bench.runs.mapping import build_map
-
-    points = build_map(parts.dataset, estimate.T_world_scan, resolution)
-    grid: dict[str, Any] = {}
-    if parts.dataset.planar:  # in space a beam seen from above crosses walls that it passes over
-        from rbtm_bench.runs.occupancy import build_grid
-
-        poses = estimate.T_world_scan
-        grid = build_grid(parts.dataset, poses, points, resolution).arrays()
-    write_npz(out / "map.npz", points=points, **grid)
-    if isinstance(parts.method, System) or not parts.method.selector.needs_scores:
-        return
-    scans, scores = similarity_matrix(parts.dataset, parts.method.similarity)
-    write_npz(out / "similarity.npz", scans=scans, scores=scores)
-
-
-def similarity_matrix(dataset: Dataset, similarity: Similarity) -> tuple[Any, Array]:
-    """Scan numbers (K,) and scores (K, K) of at most 181 scans spread over the data set."""
-    count = min(len(dataset), SIMILARITY_PICTURE)
-    scans = np.unique(np.linspace(0, len(dataset) - 1, count).round().astype(np.int64))
-    descriptors = np.stack([similarity.describe(dataset[int(i)].without_truth()) for i in scans])
-    return scans, similarity.matrix(descriptors)
-
-
-def write_npz(path: Path, **arrays: Any) -> None:
-    """A compressed numpy archive."""
-
-    def write(partial: Path) -> None:
-        with open(partial, "wb") as file:
-            np.savez_compressed(file, **arrays)
-
-    write_atomically(path, write)
 
 
 def write_config(out: Path, settings: Settings) -> None:
@@ -424,6 +424,7 @@ FILES = (
     "map.npz",
     "similarity.npz",
     RELATIONS,
+    *LOOP_FILES,
 )
 
 

@@ -33,6 +33,10 @@ SEPARATE = (Kind.SEED, Kind.OTHER_RUN)
 
 _USUAL = {f"perturbation.{key}": value for key, value in PERTURBATION.items()}
 _USUAL |= {f"perturb.{key}": value for key, value in PERTURB.items()}
+_USUAL |= {"judge_radius": None, "target.voxel_size": None, "selector.window_m": None}
+_USUAL |= {"selector.distance_relative": 0.1, "selector.keyframe_distance_relative": 0.1}
+_USUAL |= {"deskew": False, "guess_weight": None}
+_USUAL |= {"motion_filter.distance": 0.0, "motion_filter.angle_deg": 0.0}
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,12 @@ class Identity:
         are those of ``perturb`` as well."""
         if "dataset" in groups and self.settings("perturb"):
             groups = (*groups, "perturb")
-        return _text([[self.choices.get(group), self.settings(group)] for group in groups])
+        if "dataset" in groups and self.data.get("deskew"):
+            return _text(["deskew", *self._parts(groups)])
+        return _text(self._parts(groups))
+
+    def _parts(self, groups: Sequence[str]) -> list[Any]:
+        return [[self.choices.get(group), self.settings(group)] for group in groups]
 
     def settings(self, group: str) -> dict[str, Any]:
         """The settings of a group without its name; idle ones, seeds and folders left out."""
@@ -144,23 +153,25 @@ def special_settings(composed: DictConfig, config: Mapping[str, Any]) -> dict[st
 def idle_settings(config: Mapping[str, Any]) -> tuple[str, ...]:
     """The groups and settings that do nothing for the chosen plug-ins.
 
-    A similarity of which the selector needs no scores, and what a plug-in's ``idle_settings``
-    (setting -> (other setting, value)) declares: idle where the other has that value.
+    A similarity of which neither selector nor loops need scores, and what a plug-in's
+    ``idle_settings`` (setting -> (other setting, value)) declares: idle where the other has that
+    value.
     """
     if is_system(config):
         return FOR_PAIRS
     idle: list[str] = []
+    needs_scores = False
     for group in PLUGIN_GROUPS:
         node = config.get(group)
         made = class_of(group, node) if isinstance(node, Mapping) and "_target_" in node else None
         if made is None or not isinstance(node, Mapping):
             continue
-        if group == "selector" and not getattr(made, "needs_scores", True):
-            idle.append("similarity")
+        if group in ("selector", "loops"):
+            needs_scores = needs_scores or getattr(made, "needs_scores", group == "selector")
         for key, (other, value) in getattr(made, "idle_settings", {}).items():
             if node.get(other) == value:
                 idle.append(f"{group}.{key}")
-    return tuple(idle)
+    return tuple(idle) if needs_scores else ("similarity", *idle)
 
 
 def node_key(*nodes: Any) -> str:

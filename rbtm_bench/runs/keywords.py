@@ -7,13 +7,14 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.types import Scan
 from rbtm_bench.core.wording import suggestion
-from rbtm_bench.runs.declared import GROUPS, PLUGIN_GROUPS, SHARED
+from rbtm_bench.runs.declared import FOR_PAIRS, GROUPS, PLUGIN_GROUPS, SHARED
 from rbtm_bench.runs.words import as_text
 
-FOR_STREAM = ("registration", "descriptor", "judge_points", "guess_along_degenerate", "seed")
-OF_PAIR = ("backend", "search", "registration", "judge_points")
-OF_METHOD = (*PLUGIN_GROUPS[1:], *FOR_STREAM)
+FED = ("registration", "descriptor", "seed")
+OF_PAIR = ("backend", "search", "registration", "judge_points", "judge_radius")
+OF_METHOD = ("backend", *(name for name in FOR_PAIRS if name != "loops"), *FED)
 OF_DATA = ("dataset", "seed", "replicate", "perturbation", "perturb")
 """The first words of the settings that do something for a pair, a stream of scans, a data set."""
 
@@ -74,3 +75,10 @@ def _literal(key: str, value: Any) -> str:
     if isinstance(value, Mapping):
         return "{" + ",".join(f"{k}:{_literal(key, one)}" for k, one in value.items()) + "}"
     raise ConfigError(f"{key}: {type(value).__name__}: expected text, a number, a list or None")
+
+
+def defaults_for(scan: Scan) -> list[str]:
+    """The words that suit scans like this one, of which no data set says what suits them."""
+    words = ["dataset=corridor"] if scan.planar else ["dataset=cloud_folder", "dataset.path=."]
+    words += ["guess=odometry"] if scan.odometry is not None else []
+    return words + (["similarity=overlap"] if scan.planar and scan.ranges is None else [])

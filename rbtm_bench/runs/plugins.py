@@ -113,6 +113,23 @@ def is_system(config: Any) -> bool:
     return made is not None and issubclass(made, System)
 
 
+def unfillable(config: Any) -> str:
+    """In words a selector's window that cannot hold what the target is made of; "" of any other,
+    and of a selector that only makes itself when another run has ended."""
+    needed = getattr(locate("target", config["target"]["_target_"]), "needs_nodes", 1)
+    node = config["selector"]
+    if needed < 2:
+        return ""
+    try:
+        settings = {key: value for key, value in node.items() if not key.startswith("_")}
+        holds = int(locate("selector", node["_target_"])(**settings).capacity)
+    except Exception:  # whoever makes it for a run says what is wrong
+        return ""
+    if holds >= needed:
+        return ""
+    return f"remembers {holds} past scan{'s' * (holds > 1)}: expected at least the {needed}"
+
+
 def check_node(name: str, node: Any) -> None:
     """Check one plug-in's node: its class exists, it knows every key, and every value fits."""
     if not isinstance(node, dict) or "_target_" not in node:

@@ -8,6 +8,7 @@ import platform
 import shlex
 import subprocess
 import sys
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -15,14 +16,21 @@ from typing import Any
 from rbtm_bench import __version__
 from rbtm_bench.datasets import summary
 from rbtm_bench.datasets.base import Dataset
+from rbtm_bench.runs.first_part import Determined, filled
 from rbtm_bench.runs.replicate import moved_settings
 from rbtm_bench.runs.settings import Settings
 
 PACKAGES = ("numpy", "scipy", "open3d", "kiss-icp", "evo", "hydra-core")
 
 
-def of_run(settings: Settings, dataset: Dataset | None, core: int | None) -> dict[str, Any]:
-    """The head of ``run.json``, status "started"."""
+def of_run(
+    settings: Settings,
+    dataset: Dataset | None,
+    core: int | None,
+    determined: Determined | None = None,
+) -> dict[str, Any]:
+    """The head of ``run.json``, status "started"; ``determined``: what followed from the data."""
+    values = determined.values if determined else {}
     return {
         "status": "started",
         "reason": None,
@@ -33,11 +41,16 @@ def of_run(settings: Settings, dataset: Dataset | None, core: int | None) -> dic
         "overrides": list(settings.overrides),
         "special": {key: kind.name for key, kind in settings.special.items()},
         "idle": list(settings.idle),
+        "control": settings.control,
         "seed": settings.config["seed"],
-        "replicate": None if dataset is None else _replicate(settings, dataset),
+        "determined": values,
+        "replicate": None if dataset is None else _replicate(settings, dataset, values),
         "scans": len(dataset) if dataset is not None else None,
         "skipped_records": dataset.skipped if dataset is not None else None,
-        "readings": summary.head(dataset) if dataset is not None else [],
+        "readings": [
+            *(summary.head(dataset) if dataset is not None else []),
+            *(determined.words if determined else ()),
+        ],
         "dataset_fingerprint": dataset.fingerprint() if dataset is not None else None,
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "core": core,
@@ -48,11 +61,16 @@ def of_run(settings: Settings, dataset: Dataset | None, core: int | None) -> dic
     }
 
 
-def _replicate(settings: Settings, dataset: Dataset) -> dict[str, Any] | None:
+def _replicate(
+    settings: Settings, dataset: Dataset, determined: Mapping[str, float]
+) -> dict[str, Any] | None:
     """What a replicate was given; None for a run on the data and settings as they are."""
     if dataset.draw is None:
         return None
-    return {**dataset.draw, "settings": moved_settings(settings.config, dataset)}
+    return {
+        **dataset.draw,
+        "settings": moved_settings(filled(settings.config, determined), dataset),
+    }
 
 
 def packages() -> dict[str, str | None]:

@@ -13,6 +13,7 @@ from typing import Any
 from rbtm_bench.core.kinds import Nuisance
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.datasets.degraded import Degradation, degraded
+from rbtm_bench.datasets.deskewed import deskewed
 from rbtm_bench.datasets.perturbed import Amounts, Perturbed, generator
 from rbtm_bench.runs.declared import PERTURBATION, PLUGIN_GROUPS, Perturbation
 from rbtm_bench.runs.plugins import constructor_parameters
@@ -38,15 +39,22 @@ def degradation(config: Mapping[str, Any]) -> Degradation:
 def drawn(config: Mapping[str, Any]) -> list[Any] | None:
     """All that tells the run's copy of a data set from the data set; None: there is no copy."""
     by = degradation(config).changed()
-    if not by and not config.get("replicate"):
+    still = bool(config.get("deskew"))
+    if not by and not still and not config.get("replicate"):
         return None
-    return [by, *(config.get(key) for key in ("replicate", "seed", "perturbation"))]
+    return [
+        by,
+        *(["deskew"] if still else []),
+        *(config.get(key) for key in ("replicate", "seed", "perturbation")),
+    ]
 
 
 def copy_of(dataset: Dataset, config: Mapping[str, Any]) -> Dataset:
-    """The run's copy of a data set: what ``perturb`` makes of it, and of that the replicate. The
+    """The run's copy of a data set: what ``perturb`` makes of it, that without the
+    motion within sweeps (``deskew``), and of that the replicate. The
     data set itself for replicate 0 of data as they are."""
     dataset = degraded(dataset, degradation(config), config.get("seed", 0))
+    dataset = deskewed(dataset, bool(config.get("deskew")))
     if not config.get("replicate"):
         return dataset
     return Perturbed(dataset, config["seed"], config["replicate"], of_data(config))

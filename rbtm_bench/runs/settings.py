@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from hydra import compose, initialize_config_dir, main
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
@@ -25,9 +26,13 @@ from omegaconf.errors import OmegaConfBaseException
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.kinds import Kind
 from rbtm_bench.core.wording import suggestion
+from rbtm_bench.datasets.published import PUBLISHED, path_of
 from rbtm_bench.runs.declared import FOR_PAIRS, GROUPS, PLUGIN_GROUPS, SHARED, kind_of
 from rbtm_bench.runs.identity import Identity, idle_settings, special_settings
 from rbtm_bench.runs.plugins import check_node, check_value, is_system
+
+OF_RESOLVER = "ConfigError raised while resolving interpolation: "
+"""What OmegaConf puts before our own words."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +40,15 @@ class Settings:
     """One run's settings, resolved: ``config`` is plain data, ``choices`` names the members of
     the groups (``{"backend": "open3d_p2p", ...}``), ``overrides`` are the words typed.
     ``special`` and ``idle`` are what ``identity`` has to know: the plug-ins' parameters that are a
-    seed or another run's folder, and what does nothing for the chosen plug-ins."""
+    seed or another run's folder, and what does nothing for the chosen plug-ins. ``control``: how
+    a grid came to this control by itself, and of which run (``controls``)."""
 
     config: dict[str, Any]
     choices: dict[str, str]
     overrides: tuple[str, ...] = ()
     special: dict[str, Kind] = field(default_factory=dict)
     idle: tuple[str, ...] = ()
+    control: dict[str, str] | None = None
 
     @property
     def identity(self) -> Identity:
@@ -54,6 +61,23 @@ def config_dir() -> Path:
     package = Path(__file__).resolve().parent.parent
     inside = package / "configs"
     return inside if inside.is_dir() else package.parent / "configs"
+
+
+def _add_published() -> None:
+    """``dataset=aces`` and its like: carmen, on the files that ``rbtm-bench download`` fetches."""
+    OmegaConf.register_new_resolver("published", path_of, replace=True)
+    for name in PUBLISHED:
+        files = {part: f"${{published:{name},{part}}}" for part in ("log", "relations")}
+        node = {"path": files["log"], "relations": files["relations"]}
+        ConfigStore.instance().store(
+            group="dataset",
+            name=name,
+            node={"defaults": ["carmen", "_self_"], "dataset": node},
+            package="_global_",
+        )
+
+
+_add_published()
 
 
 def compose_settings(overrides: list[str], extra_dirs: tuple[Path, ...] = ()) -> Settings:
@@ -201,7 +225,8 @@ def from_hydra(cfg: DictConfig, overrides: tuple[str, ...] = ()) -> Settings:
         config = OmegaConf.to_container(plain, resolve=True)
     except OmegaConfBaseException as error:
         key = f"{error.full_key}: " if getattr(error, "full_key", None) else ""
-        raise ConfigError(f"{key}{_first_line(error)}") from error
+        text = _first_line(error).removeprefix(OF_RESOLVER)
+        raise ConfigError(f"{key}{text}") from error
     assert isinstance(config, dict)
     settings = Settings(
         {str(k): v for k, v in config.items()},

@@ -43,9 +43,13 @@ class Run:
         return choices
 
     def section(self, group: str) -> dict[str, Any]:
-        """The settings of a group; empty if there are none."""
+        """The settings of a group, with what followed from the data (``first_part``); empty if
+        there are none."""
         node = self.config.get(group)
-        return node if isinstance(node, dict) else {}
+        if not isinstance(node, dict):
+            return {}
+        known = self.record.get("determined") or {}
+        return {key: known.get(f"{group}.{key}", value) for key, value in node.items()}
 
     @cached_property
     def identity(self) -> Identity:

@@ -23,6 +23,7 @@ TEXT = frozenset(
         "dataset.odometry_frame",
         "dataset.truth_frame",
         "selector.gaps_from",
+        "selector.gaps_sha256",
         "pairs.folder",
         "out",
     }

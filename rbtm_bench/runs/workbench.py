@@ -7,25 +7,21 @@ from __future__ import annotations
 
 import atexit
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from rbtm_bench.backends.base import Prepared
-from rbtm_bench.core.errors import BackendError
-from rbtm_bench.core.types import Array, RegistrationResult
+from rbtm_bench.backends.base import Backend
+from rbtm_bench.core.kinds import Kind
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.odometry.method import Method, Work
 from rbtm_bench.pairs.codec import context
-from rbtm_bench.pairs.shared import (
-    Bounded,
-    KnownRegistrations,
-    KnownScores,
-    SharedDataset,
-    SharedWork,
-)
+from rbtm_bench.pairs.shared import KnownScores, Memory, SharedDataset, SharedWork
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.pairs.watched import Watch, WatchedWork
-from rbtm_bench.runs import experiment, replicate
+from rbtm_bench.runs import experiment, first_part, replicate
+from rbtm_bench.runs.declared import kind_of
+from rbtm_bench.runs.first_part import Determined
 from rbtm_bench.runs.identity import node_key
 from rbtm_bench.runs.plugins import foreign_modules, is_system
 from rbtm_bench.runs.provenance import versions_of
@@ -41,8 +37,8 @@ class Workbench:
     """Everything that a process keeps between runs. ``store`` may be None: memory alone."""
 
     def __init__(self, store: PairStore | None = None, memory_mb: float = 1000.0) -> None:
-        self.store = store
-        self.bytes = memory_mb * 1e6
+        self._store = store
+        self._bytes = memory_mb * 1e6
         self._data_key = ""
         self._plain: tuple[str, Dataset] | None = None
         self._shared: dict[str, Any] = {}
@@ -55,52 +51,55 @@ class Workbench:
         self._watch = dataset.watch
         if self._watch is not None:
             self._watch.begin()
-        if self.store is not None:
-            self.store.held = self._watch is not None
+        if self._store is not None:
+            self._store.hold(self._watch is not None)
         experiment.check_fit(settings, dataset.plain)
-        config = replicate.with_moved(settings.config, dataset)
+        determined = self._determined(settings.config, dataset)
+        config = first_part.filled(settings.config, determined.values)
+        config = replicate.with_moved(config, dataset)
         metrics = experiment.build_metrics(config)
         if is_system(config):  # it remembers, so nothing of it can be shared but the scans
             return experiment.Parts(dataset, experiment.build(config["backend"]), metrics)
-        plain = {
-            g: experiment.build(config[g]) for g in ("selector", "check", "recovery", "target")
-        }
-        judged = [experiment.backend_node(config), config["judge_points"]]
-        known = self._once("backend", judged, lambda: self._backend(config, dataset))
-        guess_node = [config["guess"]]
-        guess = experiment.build(config["guess"])
+        others = ("similarity", "selector", "check", "recovery", "target")
+        node = experiment.backend_node(config)
+        backend = self._once("backend", node, partial(experiment.build_backend, config))
+        guess, guess_key = experiment.build(config["guess"]), None
         if guess.pure:
-            guess_node += [experiment.backend_node(config)] if guess.needs_backend else []
-            guess = self._once("guess", guess_node, lambda: guess)
+            guess_key = node_key(config["guess"], guess.needs_backend and node)
+            guess = self._once("guess", guess_key, lambda: guess)
         method = Method(
-            backend=known.backend,
-            similarity=experiment.build(config["similarity"]),
+            backend=backend,
             guess=guess,
-            guess_along_degenerate=config["guess_along_degenerate"],
-            judge_points=config["judge_points"],
-            **plain,
+            **experiment.loop_settings(config),
+            **{group: experiment.build(config[group]) for group in others},
         )
-        guesses = None
-        if guess.pure:
-            limit = self.bytes * SHARES["guesses"]
-            guesses = self._once("guesses", guess_node, lambda: Bounded[Array](limit))
-        work: Work = SharedWork(method, known, self._scores(config, method, dataset), guesses)
+        limits = {kind: self._bytes * share for kind, share in SHARES.items() if kind != "scans"}
+        memory = self._once("memory", None, lambda: Memory(**limits))
+        contexts = self._contexts(config, backend, dataset)
+        scores = self._scores(config, method, dataset)
+        work: Work = SharedWork(method, memory, self._store, contexts, scores, guess_key)
         if self._watch is not None:
             work = WatchedWork(work, self._watch)
-        return experiment.Parts(dataset, method, metrics, work)
+        loops = experiment.build(config["loops"])
+        return experiment.Parts(dataset, method, metrics, work, determined, loops)
 
     def flush(self) -> None:
         """Let other processes see what this one has computed."""
-        if self.store is not None:
-            self.store.flush()
+        if self._store is not None:
+            self._store.flush()
 
     def forget(self) -> None:
         """Start anew: after a failed run the plug-ins that it used may be in any state. What a
         stranger's have computed in it is dropped, unwritten."""
-        if self._watch is not None and self.store is not None:
-            self.store.drop()
+        if self._watch is not None and self._store is not None:
+            self._store.drop()
         self._shared.clear()
         self._data_key, self._plain = "", None
+
+    def close(self) -> None:
+        """Write what has not been written yet."""
+        if self._store is not None:
+            self._store.close()
 
     def _once(self, kind: str, node: Any, make: Callable[[], T]) -> T:
         key = f"{kind} {node_key(node)}"
@@ -109,12 +108,20 @@ class Workbench:
         shared: T = self._shared[key]
         return shared
 
+    def _determined(self, config: dict[str, Any], dataset: SharedDataset) -> Determined:
+        """What the settings leave to the data's first part, once for equal settings."""
+        if is_system(config):
+            return Determined({})
+        nodes = [v for k, v in config.items() if k == "seed" or kind_of(k) is Kind.WHAT]
+        make = lambda: first_part.determined(config, dataset, experiment.method_of)  # noqa: E731
+        return self._once("determined", nodes, make)
+
     def _dataset(self, config: dict[str, Any]) -> SharedDataset:
         data_key = node_key(config["dataset"], replicate.drawn(config))
         if data_key != self._data_key:
             self._shared.clear()
             plain = replicate.copy_of(self._opened(config["dataset"]), config)
-            limit = self.bytes * SHARES["scans"]
+            limit = self._bytes * SHARES["scans"]
             watch = Watch(limit) if foreign_modules(config) else None
             self._shared["dataset"] = SharedDataset(plain, limit, watch)
             self._data_key = data_key
@@ -129,22 +136,20 @@ class Workbench:
             self._plain = (key, experiment.build(node))
         return self._plain[1]
 
-    def _backend(self, config: dict[str, Any], dataset: SharedDataset) -> KnownRegistrations:
-        backend, node = experiment.build_backend(config), experiment.backend_node(config)
-        most = config["judge_points"]
-        versions = versions_of(backend.requires)
-        facts = dataset.fingerprint(), node, versions, most
-        # what else is at work in this process may have changed anything: its own pairs alone
+    def _contexts(
+        self, config: dict[str, Any], backend: Backend, dataset: SharedDataset
+    ) -> list[bytes]:
+        """What tells the registrations of a data set and a backend from others. With strangers at
+        work in this process, which may have changed anything, their names do as well."""
+        node = experiment.backend_node(config)
+        judged = config["judge_points"], config["judge_radius"]
         beside = sorted(foreign_modules(config) - foreign_modules(node))
-        common, own = context(*facts), context(*facts, *beside) if beside else None
-        # several backends take turns on one data set: the bound is for all of them
-        others = [one for one in self._shared.values() if isinstance(one, KnownRegistrations)]
-        if others:
-            scans, results = others[0].scans, others[0].results
-        else:
-            scans = Bounded[tuple[Prepared, float]](self.bytes * SHARES["prepared"])
-            results = Bounded[RegistrationResult | BackendError](self.bytes * SHARES["results"])
-        return KnownRegistrations(backend, self.store, common, scans, results, most, own)
+
+        def make() -> list[bytes]:
+            facts = dataset.fingerprint(), node, versions_of(backend.requires), *judged
+            return [context(*facts), *([context(*facts, beside)] if beside else [])]
+
+        return self._once("contexts", [node, *judged, beside], make)
 
     def _scores(
         self, config: dict[str, Any], method: Method, dataset: SharedDataset
@@ -155,7 +160,7 @@ class Workbench:
         make = lambda: KnownScores(method.similarity, dataset)  # noqa: E731
         known = self._once("similarity", config["similarity"], make)
         if selector.window().keyframes is None:
-            limit = self.bytes * (1.0 - sum(SHARES.values())) / (8 * len(dataset))
+            limit = self._bytes * (1.0 - sum(SHARES.values())) / (8 * len(dataset))
             known.widen(min(selector.capacity, int(limit)))
         return known
 
@@ -183,8 +188,8 @@ def own_workbench(settings: Settings) -> Workbench | None:
 def close_own() -> None:
     """Write what this process's workbench has not written yet, and forget it."""
     global _own
-    if _own is not None and _own[1].store is not None:
-        _own[1].store.close()
+    if _own is not None:
+        _own[1].close()
     _own = None
 
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Literal, NamedTuple
 
-from rbtm_bench.backends.base import Alignment, Backend, Prepared
+from rbtm_bench.backends.base import Alignment, Backend, MapLimits, Prepared, RunningMap
 from rbtm_bench.core.types import Array, Scan
 
 
@@ -59,17 +59,30 @@ class SearchedBackend(Backend):
     def prepare(self, scan: Scan) -> Prepared:
         return self.wrapped.prepare(scan)
 
-    def merge(self, parts: Sequence[tuple[Prepared, Array]]) -> Prepared:
-        return self.wrapped.merge(parts)
+    def merge(
+        self, parts: Sequence[tuple[Prepared, Array]], voxel_size: float | None = None
+    ) -> Prepared:
+        thin = {} if voxel_size is None else {"voxel_size": voxel_size}  # a stranger's may not know
+        return self.wrapped.merge(parts, **thin)
 
-    def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
+    def join(self, parts: Sequence[tuple[Prepared, Array]]) -> Prepared:
+        return self.wrapped.join(parts)
+
+    def running_map(self, limits: MapLimits) -> RunningMap | None:
+        return self.wrapped.running_map(limits)
+
+    def register(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
         started = time.perf_counter()
         start = self.search.start(source, target, T_target_source)
         seconds = time.perf_counter() - started
         alignment = self.wrapped.register(source, target, start.T_target_source)
         return replace(
             alignment,
+            seconds=seconds + alignment.seconds,
             search_seconds=seconds,
             search_score=start.score,
             search_peak_ratio=start.peak_ratio,
         )
+
+    def align(self, source: Prepared, target: Prepared, T_target_source: Array) -> Alignment:
+        return self.wrapped.align(source, target, T_target_source)

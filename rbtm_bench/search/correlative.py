@@ -9,7 +9,7 @@ from annotated_types import Ge, Gt, Le
 
 from rbtm_bench.backends.base import Prepared
 from rbtm_bench.backends.correlative import CorrelativeMatcher
-from rbtm_bench.core.geometry import se2, yaw
+from rbtm_bench.core.geometry import inverse, se2, yaw
 from rbtm_bench.core.types import Array
 from rbtm_bench.search.base import Search, Start
 
@@ -22,10 +22,11 @@ class CorrelativeSearch(Search):
 
     The window reaches ``translation`` m and ``rotation_deg`` to either side, and ``sigmas``
     standard deviations of the guess more: ``translation_noise`` of the distance and
-    ``rotation_noise`` of the turn between the two scans. ``cell_size`` and ``sigma`` (m) are the
-    table's. With ``peak_apart`` m the score of the best pose that far (or ``peak_apart_deg``) from
-    the best is looked for as well, which costs several times the search: a share near 1 says that
-    the scans fit in two ways, 0 that the window holds no other pose.
+    ``rotation_noise`` of the turn between the two scans. A pose that scores less than ``min_gain``
+    above the guess is not believed to be better: the start is the guess. ``cell_size`` and
+    ``sigma`` (m) are the table's. With ``peak_apart`` m the score of the best pose that far (or
+    ``peak_apart_deg``) from the best is looked for as well, which costs several times the search:
+    a share near 1 says that the scans fit in two ways, 0 that the window holds no other pose.
     """
 
     dimensions = ("2d",)
@@ -37,6 +38,7 @@ class CorrelativeSearch(Search):
         sigmas: Annotated[float, Ge(0)] = 2.0,
         translation_noise: Annotated[float, Ge(0)] = 0.1,
         rotation_noise: Annotated[float, Ge(0)] = 0.1,
+        min_gain: Annotated[float, Ge(0), Le(1)] = 0.05,
         cell_size: Positive = 0.05,
         sigma: Positive = 0.1,
         peak_apart: Positive | None = None,
@@ -44,13 +46,18 @@ class CorrelativeSearch(Search):
     ) -> None:
         self.translation, self.rotation = translation, math.radians(rotation_deg)
         self.by_distance, self.by_turn = sigmas * translation_noise, sigmas * rotation_noise
+        self.min_gain = min_gain
         self.matcher = CorrelativeMatcher(cell_size, sigma, peak_apart or 0.0, peak_apart_deg)
 
     def start(self, source: Prepared, target: Prepared, T_target_source: Array) -> Start:
         distance = math.hypot(T_target_source[0, 3], T_target_source[1, 3])
         translation = self.translation + self.by_distance * distance
         rotation = self.rotation + self.by_turn * abs(float(yaw(T_target_source)))
-        peak = self.matcher.match(source, target, T_target_source, translation, rotation)
-        if peak.score == 0.0:  # no pose is better than another
-            return Start(T_target_source, 0.0, peak.peak_ratio)
-        return Start(se2(*peak.pose), peak.score, peak.peak_ratio)
+        built, guess = target.as_built(T_target_source)  # its field is kept
+        peak = self.matcher.match(source, built, guess, translation, rotation)
+        if peak.score == 0.0 or peak.score < peak.middle_score + self.min_gain:
+            return Start(T_target_source, peak.middle_score, peak.peak_ratio)
+        pose = se2(*peak.pose)
+        if built is not target:
+            pose = T_target_source @ inverse(guess) @ pose
+        return Start(pose, peak.score, peak.peak_ratio)

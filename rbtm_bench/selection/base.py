@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
 from rbtm_bench.core.uncertainty import InformationFrom
 from rbtm_bench.selection.window import Keyframes, Window
@@ -109,11 +110,15 @@ class Selection:
 
 
 class Trial(NamedTuple):
-    """A candidate whose registration was accepted."""
+    """A candidate whose registration was accepted; scans and points of what it was registered
+    to (None: not known), and the restart that it came from ("": the guess)."""
 
     candidate: Candidate
     model: Node
     result: RegistrationResult
+    target_scans: int | None = None
+    target_points: int | None = None
+    restart: str = ""
 
 
 class Selector(ABC):
@@ -130,10 +135,15 @@ class Selector(ABC):
     needs_truth: bool = False
     """True for what is no method but a bound: ``see`` is then given every scan with its ground
     truth, which nothing else in the loop ever sees. Its results must say so in their reason."""
+    needs_scans: bool = False
+    """True: ``see`` is given every scan, without its ground truth."""
     needs_check: bool = False
     """True: refused together with a check that accepts everything."""
     tries_all: bool = False
     """True: every candidate is registered, and ``pick`` chooses among those that are accepted."""
+    edges: int = 1
+    """How many accepted registrations become edges of the scan; of several the pose is what agrees
+    best with all. More than 1 needs ``covariance_from``."""
     covariance_from: InformationFrom | None = None
     """Where the covariance of the window's nodes comes from; None: nobody needs it."""
     restart_after: int | None = None
@@ -164,8 +174,8 @@ class Selector(ABC):
         NaN if ``needs_scores`` is False). W >= 1.
         """
 
-    def see(self, scan: Scan) -> None:  # noqa: B027 (only with needs_truth)
-        """Every scan with its ground truth, before it is selected for; see ``needs_truth``."""
+    def see(self, scan: Scan) -> None:  # noqa: B027 (only with needs_truth or needs_scans)
+        """Every scan before it is selected for, with its ground truth only if ``needs_truth``."""
 
     def choose(self, scan: int, window: Window, scores: Array) -> Selection:
         """What the loop calls: ``select`` with the window's numbers. A strategy that looks at the
@@ -200,6 +210,16 @@ class Selector(ABC):
         return int(np.nanargmax(scores))
 
 
-def keyframes_or_scans(content: Content, distance: float, angle_deg: float) -> Keyframes | None:
+def keyframes_or_scans(
+    content: Content, distance: float | None, angle_deg: float
+) -> Keyframes | None:
     """The window's rule for ``content``: None keeps every scan."""
-    return Keyframes(distance, angle_deg) if content == "keyframes" else None
+    return keyframes_every(distance, angle_deg) if content == "keyframes" else None
+
+
+def keyframes_every(distance: float | None, angle_deg: float) -> Keyframes:
+    """A keyframe every ``distance`` m. Raises ``ConfigError`` for None: a run takes it from the
+    data before it makes the selector."""
+    if distance is None:
+        raise ConfigError("the keyframe distance is not set: expected m, or a run on data")
+    return Keyframes(distance, angle_deg)

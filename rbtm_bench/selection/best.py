@@ -8,7 +8,7 @@ import numpy as np
 from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
-from rbtm_bench.core.kinds import Distance, Threshold
+from rbtm_bench.core.kinds import Distance, OpenThreshold
 from rbtm_bench.core.types import Array
 from rbtm_bench.selection.base import Content, Fallback
 from rbtm_bench.selection.thresholded import ThresholdSelector
@@ -21,12 +21,14 @@ class Best(ThresholdSelector):
     def __init__(
         self,
         window: Annotated[int, Ge(2)] = 10,
-        threshold: Threshold = -1.0,
+        threshold: OpenThreshold = -1.0,
         fallback: Fallback = "previous",
         restart_after: Annotated[int, Ge(1)] | None = None,
         content: Content = "scans",
-        keyframe_distance: Distance = 0.3,
+        keyframe_distance: Distance | None = 0.3,
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
+        keyframe_distance_relative: Annotated[float, Gt(0)] | None = None,
+        window_m: Distance | None = None,
     ) -> None:
         super().__init__(
             window,
@@ -36,6 +38,8 @@ class Best(ThresholdSelector):
             content,
             keyframe_distance,
             keyframe_angle_deg,
+            keyframe_distance_relative,
+            window_m,
         )
 
     def order(self, scan: int, models: NDArray[np.int64], scores: Array) -> list[tuple[int, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 import numpy as np
@@ -13,14 +14,20 @@ from rbtm_bench.selection.base import Selector
 
 
 class FixedGap(Selector):
-    """The model scan is scan - ``gap`` (the oldest scan, at the start of a run)."""
+    """The model scan is scan - ``gap`` (the oldest scan, at the start of a run).
 
-    def __init__(self, gap: Annotated[int, Ge(1)] = 10) -> None:
-        super().__init__(capacity=gap)
+    A gap between whole numbers is dithered: scan i takes floor(i gap) - floor((i - 1) gap), the
+    whole numbers beside it in the order of a drawn line, whose mean over n scans is ``gap`` to
+    within 1 / n.
+    """
+
+    def __init__(self, gap: Annotated[float, Ge(1)] = 10) -> None:
+        super().__init__(capacity=math.ceil(gap))
         self.gap = gap
 
     def order(self, scan: int, models: NDArray[np.int64], scores: Array) -> list[tuple[int, str]]:
-        return [(nearest_gap(scan, models, self.gap), f"gap {self.gap}")]
+        gap = math.floor(scan * self.gap) - math.floor((scan - 1) * self.gap)
+        return [(nearest_gap(scan, models, gap), f"gap {gap}")]
 
 
 def nearest_gap(scan: int, models: NDArray[np.int64], gap: int) -> int:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt
 
-from rbtm_bench.core.kinds import Distance, Threshold
+from rbtm_bench.core.kinds import Distance, OpenThreshold
 from rbtm_bench.core.types import Array, Node
 from rbtm_bench.core.uncertainty import InformationFrom, position_std
 from rbtm_bench.selection.base import Content, Fallback
@@ -27,12 +27,14 @@ class LeastUncertain(ChainSelector):
     def __init__(
         self,
         window: Annotated[int, Ge(2)] = 10,
-        threshold: Threshold = 0.7,
+        threshold: OpenThreshold = 0.7,
         fallback: Fallback = "previous",
         restart_after: Annotated[int, Ge(1)] | None = None,
         content: Content = "scans",
-        keyframe_distance: Distance = 0.3,
+        keyframe_distance: Distance | None = 0.3,
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
+        keyframe_distance_relative: Annotated[float, Gt(0)] | None = None,
+        window_m: Distance | None = None,
         information: InformationFrom = "own",
     ) -> None:
         super().__init__(
@@ -43,6 +45,8 @@ class LeastUncertain(ChainSelector):
             content,
             keyframe_distance,
             keyframe_angle_deg,
+            keyframe_distance_relative,
+            window_m,
         )
         self.covariance_from = information
 

@@ -21,14 +21,17 @@ class Oldest(Selector):
         self,
         window: Annotated[int, Ge(2)] = 10,
         content: Content = "scans",
-        keyframe_distance: Distance = 0.3,
+        keyframe_distance: Distance | None = 0.3,
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
+        keyframe_distance_relative: Annotated[float, Gt(0)] | None = None,
+        window_m: Distance | None = None,
     ) -> None:
         super().__init__(capacity=window - 1)
         self._keyframes = keyframes_or_scans(content, keyframe_distance, keyframe_angle_deg)
+        self._window_m = window_m
 
     def window(self) -> Window:
-        return Window(self.capacity, self._keyframes)
+        return Window(self.capacity, self._keyframes, self._window_m)
 
     def order(self, scan: int, models: NDArray[np.int64], scores: Array) -> list[tuple[int, str]]:
         return [(0, "oldest")]

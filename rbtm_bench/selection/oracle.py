@@ -39,17 +39,20 @@ class Oracle(Selector):
         window: Annotated[int, Ge(2)] = 10,
         by: Literal["registration", "pose"] = "registration",
         content: Content = "scans",
-        keyframe_distance: Distance = 0.3,
+        keyframe_distance: Distance | None = 0.3,
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
+        keyframe_distance_relative: Annotated[float, Gt(0)] | None = None,
+        window_m: Distance | None = None,
     ) -> None:
         super().__init__(capacity=window - 1)
         self.by = by
         self._keyframes = keyframes_or_scans(content, keyframe_distance, keyframe_angle_deg)
+        self._window_m = window_m
         self._truth: dict[int, Array] = {}
 
     def window(self) -> Window:
         self._truth = {}  # a new run begins
-        return Window(self.capacity, self._keyframes)
+        return Window(self.capacity, self._keyframes, self._window_m)
 
     def see(self, scan: Scan) -> None:
         if scan.ground_truth is None:

@@ -49,6 +49,15 @@ class RandomGap(Selector):
 
 def read_gaps(run: Path) -> list[int]:
     """The gaps of a run's registered scans. Raises ``DataError`` if the run has none."""
+    gaps = [gap for gap in gaps_by_scan(run) if gap is not None]
+    if not gaps:
+        raise DataError(f"{run}: the run has no registered scan to take a gap from")
+    return gaps
+
+
+def gaps_by_scan(run: Path) -> list[int | None]:
+    """The gap of every scan of a run (its folder, or its ``steps.parquet``), None of those that
+    are registered to nothing. Raises ``DataError`` where there is none to read."""
     import pyarrow.parquet as pq
 
     path = run / "steps.parquet" if run.is_dir() else run
@@ -56,9 +65,6 @@ def read_gaps(run: Path) -> list[int]:
         raise DataError(f"selector.gaps_from={run}: no steps.parquet: expected a run folder")
     try:
         column = pq.read_table(path, columns=["gap"]).column("gap").to_pylist()
+        return [None if gap is None else int(gap) for gap in column]
     except Exception as error:
         raise DataError(f"{path}: not readable as a run's steps: {error}") from error
-    gaps = [int(gap) for gap in column if gap is not None]
-    if not gaps:
-        raise DataError(f"{path}: the run has no registered scan to take a gap from")
-    return gaps

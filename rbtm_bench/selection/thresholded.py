@@ -10,7 +10,8 @@ import numpy as np
 from annotated_types import Ge, Gt
 from numpy.typing import NDArray
 
-from rbtm_bench.core.kinds import Distance, Threshold
+from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.core.kinds import Distance, OpenThreshold
 from rbtm_bench.core.types import Array, Node
 from rbtm_bench.selection.base import (
     Content,
@@ -20,6 +21,8 @@ from rbtm_bench.selection.base import (
     keyframes_or_scans,
 )
 from rbtm_bench.selection.window import Window
+
+AUTO = "auto"
 
 
 class ThresholdSelector(Selector):
@@ -32,35 +35,44 @@ class ThresholdSelector(Selector):
     model scan for others. After ``restart_after`` such scans in a row (None: ``window``) the next
     may be matched to the one before it: a restart. ``content="keyframes"`` fills the window with
     scans that moved ``keyframe_distance`` m or ``keyframe_angle_deg`` by estimate; every scan is
-    still registered.
+    still registered. With ``window_m`` members farther back than so many metres travelled, by
+    estimate, are let go as well. In a run ``threshold`` "auto" and, where ``keyframe_distance`` is
+    None, ``keyframe_distance_relative`` (times the median range) are replaced by what the data's
+    first part says (``runs.first_part``).
     """
 
     needs_scores = True
     idle_settings: ClassVar[dict[str, tuple[str, Any]]] = {
         "keyframe_distance": ("content", "scans"),
         "keyframe_angle_deg": ("content", "scans"),
+        "keyframe_distance_relative": ("content", "scans"),
     }
 
     def __init__(
         self,
         window: Annotated[int, Ge(2)] = 10,
-        threshold: Threshold = 0.7,
+        threshold: OpenThreshold = 0.7,
         fallback: Fallback = "previous",
         restart_after: Annotated[int, Ge(1)] | None = None,
         content: Content = "scans",
-        keyframe_distance: Distance = 0.3,
+        keyframe_distance: Distance | None = 0.3,
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
+        keyframe_distance_relative: Annotated[float, Gt(0)] | None = None,
+        window_m: Distance | None = None,
     ) -> None:
         super().__init__(window - 1, fallback, restart_after)
         self.threshold = threshold
-        self.passed = f"S > {threshold:g}"
+        self.passed = f"S > {threshold}" if threshold == AUTO else f"S > {threshold:g}"
         self._keyframes = keyframes_or_scans(content, keyframe_distance, keyframe_angle_deg)
+        self._window_m = window_m
 
     def window(self) -> Window:
-        return Window(self.capacity, self._keyframes)
+        return Window(self.capacity, self._keyframes, self._window_m)
 
     def passing(self, scores: Array) -> list[int]:
         """Positions of the members that pass, oldest first."""
+        if isinstance(self.threshold, str):
+            raise ConfigError("selector.threshold=auto: expected a number, or a run on data")
         # NaN > threshold is False: an undefined score never passes
         passing: list[int] = np.flatnonzero(scores > self.threshold).tolist()
         return passing

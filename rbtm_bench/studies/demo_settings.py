@@ -33,6 +33,7 @@ def choose(out: Path) -> int:
     """Run the tries and print the best of each strategy."""
     for selector, words in TRIES.items():
         grid = [f"backend={BACKENDS}", f"selector={selector}", *words, f"seed={SEEDS}"]
+        grid.append("controls=none")
         code = rbtm_bench(["compare", *grid, f"out={out / selector}", "overwrite=true"])
         if code:
             return code

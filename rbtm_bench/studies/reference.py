@@ -226,7 +226,7 @@ def _method(run: Run) -> dict[str, Any]:
     return {
         "backend": run.record["choices"]["backend"],
         "selector": run.record["choices"]["selector"],
-        "settings": " ".join([*_settings(run.config["selector"]), *_source(run)]) or NO_SETTINGS,
+        "settings": " ".join([*_settings(run.section("selector")), *_source(run)]) or NO_SETTINGS,
     }
 
 

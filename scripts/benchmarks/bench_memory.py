@@ -28,6 +28,7 @@ def child(log: str) -> None:
 
     pin_to_free_core()
     words = ["dataset=carmen", f"dataset.path='{log}'", "selector=rbtm", "selector.window=100"]
+    words += ["similarity=curvature_circular", "selector.threshold=0.7"]
     parts = experiment.instantiate(compose_settings(words))
     opened = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     count = sum(1 for _ in odometry(parts.dataset, parts.method))

@@ -34,7 +34,8 @@ Attempt = tuple[int, int, Array]
 
 ACES = ["dataset=carmen", "dataset.path={data}/freiburg/aces.clf.gz", "backend=open3d_p2p"]
 KITTI = ["dataset=kitti", "dataset.path={data}/kitti", "selector=previous"]
-RBTM = ["selector=rbtm", "selector.window=100"]
+RBTM = ["selector=rbtm", "selector.window=100", "selector.threshold=0.7"]
+RBTM += ["similarity=curvature_circular"]
 WAYS = {
     "p2p/previous": [*ACES, "selector=previous", "guess=odometry"],
     "p2p/keyframe/chained": [*ACES, "selector=keyframe", "guess=odometry_chained"],

@@ -43,10 +43,14 @@ class Side:
     digest: str
 
 
+SIMILARITY = "similarity=curvature_circular"
+
+
 def grid(log: str, guess: str, scans: int | None) -> list[Settings]:
     """The 70 points."""
     words = ["dataset=carmen", f"dataset.path={log}", f"dataset.max_scans={scans or 'null'}"]
-    base = compose_settings([*words, "backend=open3d_p2p", "selector=rbtm", f"guess={guess}"])
+    words += ["backend=open3d_p2p", "selector=rbtm", SIMILARITY, f"guess={guess}"]
+    base = compose_settings(words)
     points = []
     for window in WINDOWS:
         for threshold in THRESHOLDS:

@@ -28,6 +28,7 @@ SWEEP = [
     "selector.window=30",
     "selector.threshold=0.5,0.6,0.7,0.8",
     "seed=0,1,2,3",
+    "controls=none",
     "hydra/launcher=joblib",
 ]
 TIMES = ("seconds", *COLUMNS)

@@ -24,11 +24,11 @@ from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.runs.experiment import instantiate
 from rbtm_bench.runs.settings import compose_settings
 
-RBTM = "selector=rbtm_verified"
+RBTM = ("selector=rbtm_verified", "selector.threshold=0.7")
 METHODS = {
-    "previous": (RBTM, "selector.fallback=previous"),
-    "skip, no restart": (RBTM, "selector.fallback=skip", "selector.restart_after=1000000"),
-    "skip": (RBTM, "selector.fallback=skip"),
+    "previous": (*RBTM, "selector.fallback=previous"),
+    "skip, no restart": (*RBTM, "selector.fallback=skip", "selector.restart_after=1000000"),
+    "skip": (*RBTM, "selector.fallback=skip"),
 }
 GUESS_ALONE = ("selector=previous", "backend=none")
 AFTER = 20
@@ -126,7 +126,13 @@ HEAD = (
 def aces_words(folder: Path) -> list[str]:
     """The settings for the first 600 scans of ACES."""
     log = folder / "freiburg" / "aces.clf.gz"
-    return ["dataset=carmen", f"dataset.path='{log}'", "dataset.max_scans=600", "guess=odometry"]
+    return [
+        "dataset=carmen",
+        f"dataset.path='{log}'",
+        "dataset.max_scans=600",
+        "guess=odometry",
+        "similarity=curvature_circular",
+    ]
 
 
 def main() -> int:

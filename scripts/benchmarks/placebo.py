@@ -97,6 +97,7 @@ def make_runs(log: str, options: argparse.Namespace, out: Path) -> None:
         words += [f"dataset.scans={options.scans or 61}"]
     else:
         words += ["dataset=carmen", f"dataset.path={options.data}/{log}.clf.gz"]
+        words += ["similarity=curvature_circular"]
         words += [f"dataset.relations={options.data}/{log}.relations"]
         words += [f"dataset.max_scans={options.scans or 'null'}"]
     words += [f"selector={','.join(options.selectors)}"]

@@ -53,9 +53,10 @@ def commands(data: Path) -> dict[str, list[str]]:
     aces += [f"dataset.relations={freiburg / 'aces.relations'}"]
     turn = ["dataset=corridor", "dataset.environment=l_turn"]
     few = [*aces, "dataset.max_scans=200"]
-    rbtm = ["selector=rbtm", "selector.window=10"]
+    rbtm = ["selector=rbtm", "selector.window=10", "selector.threshold=0.7"]
+    beams = "similarity=curvature_circular"
     grids = {
-        "planar": [*aces, "dataset.max_scans=300", f"backend={PLANAR}", *rbtm],
+        "planar": [*aces, "dataset.max_scans=300", f"backend={PLANAR}", *rbtm, beams],
         "space": [
             *("dataset=kitti", f"dataset.path={data / 'kitti'}", f"backend={IN_SPACE}"),
             *("selector=rbtm", "selector.window=4", "selector.threshold=0.4"),
@@ -65,15 +66,20 @@ def commands(data: Path) -> dict[str, list[str]]:
             *("selector.window=12", "seed=3", "guess_along_degenerate=0.01"),
         ],
         "similarities": [*few, "backend=open3d_p2plane", *rbtm, f"similarity={SIMILARITIES}"],
-        "guesses": [*few, "backend=plicp", "selector=keyframe,rbtm", f"guess={GUESSES}"],
+        "guesses": [
+            *(*few, "backend=plicp", "selector=keyframe,rbtm", f"guess={GUESSES}", beams),
+            *("selector.distance=0.3", "selector.threshold=0.7"),
+        ],
         "targets": [
-            *(*few, "backend=open3d_gicp", *rbtm, "target=single,local_map", "check=none,gated"),
-            *("selector.content=keyframes,scans", "selector.fallback=skip"),
+            *(*few, "backend=open3d_gicp", *rbtm, beams, "target=single,local_map"),
+            *("check=none,gated", "selector.content=keyframes,scans", "selector.fallback=skip"),
+            "selector.keyframe_distance=0.3",
         ],
     }
-    sweep = [*few, "backend=open3d_p2p", "selector=rbtm", "selector.window=4,10"]
-    folders = {name: ["compare", *words] for name, words in grids.items()}
-    return {**folders, "sweep": ["sweep", *sweep, "selector.threshold=0.5,0.7"]}
+    sweep = [*few, "backend=open3d_p2p", "selector=rbtm", "selector.window=4,10", beams]
+    bare = "controls=none"
+    folders = {name: ["compare", *words, bare] for name, words in grids.items()}
+    return {**folders, "sweep": ["sweep", *sweep, "selector.threshold=0.5,0.7", bare]}
 
 
 def make(folder: Path) -> int:

@@ -76,6 +76,7 @@ def test_the_best_pose_is_that_of_an_exhaustive_search(
     pose = [x + (i - cells) * field.size, y + (j - cells) * field.size, theta + turns[k]]
     np.testing.assert_allclose(peak.pose, pose, atol=1e-12)
     assert peak.score == scores.max() / (255 * count)
+    assert peak.middle_score == scores[len(turns) // 2, cells, cells] / (255 * count)
     away = np.abs(np.arange(len(turns)) - k)
     away = np.minimum(away, len(turns) - away)
     inside = np.abs(np.arange(2 * cells + 1)[:, None] - [j, i]) <= math.ceil(apart / field.size)

@@ -107,7 +107,7 @@ def test_the_turned_points_are_the_points() -> None:
 
 def test_the_percentile_cuts_the_worst() -> None:
     matches = matches_at([5.0, 1.0, 4.0, 2.0, 3.0, 10.0, 9.0, 8.0, 7.0, 6.0])
-    kept, mean_square = trim(matches, 10, 0.6, 0.7, 100.0)
+    kept, mean_square = trim(matches, 10, 0.6, 0.7, 100.0, 0.0)
     # floor(10 x 0.6) = 6: no farther than the one after the first six in order
     assert sorted(matches.distance[:kept]) == [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]
     assert mean_square == pytest.approx((1 + 4 + 9 + 16 + 25 + 36 + 49) / 7)
@@ -116,14 +116,28 @@ def test_the_percentile_cuts_the_worst() -> None:
 
 def test_the_adaptive_limit_follows_the_order() -> None:
     matches = matches_at([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.5, 1.9, 2.1, 50.0])
-    kept, _ = trim(matches, 11, 1.0, 0.5, 2.0)
+    kept, _ = trim(matches, 11, 1.0, 0.5, 2.0, 0.0)
     assert list(matches.distance[:kept]) == [1.0] * 7 + [1.5, 1.9]
 
 
+def test_nothing_nearer_than_the_floor_is_cut() -> None:
+    """Seven points on walls that fit exactly make both limits 0; the three of a recess, one step
+    of 10 mm along the corridor away, are what tells the step."""
+    distance = [0.0] * 7 + [0.010, 0.010, 0.031]
+    assert trim(matches_at(distance), 10, 0.9, 0.6, 2.0, 0.0)[0] == 7
+    matches = matches_at(distance)
+    kept, mean_square = trim(matches, 10, 0.9, 0.6, 2.0, 0.03)
+    assert list(matches.distance[:kept]) == [0.0] * 7 + [0.010, 0.010]
+    assert mean_square == pytest.approx(2e-4 / 9)
+    far = [0.05] * 9 + [0.09]  # limits above the floor are what they were: the ninth of ten
+    assert trim(matches_at(far), 10, 0.9, 0.7, 2.0, 0.03)[0] == 10
+    assert trim(matches_at(far), 10, 0.8, 0.7, 2.0, 0.03)[0] == 9
+
+
 def test_perfect_matches_are_all_kept() -> None:
-    kept, mean_square = trim(matches_at([0.0] * 8), 8, 0.9, 0.7, 2.0)
+    kept, mean_square = trim(matches_at([0.0] * 8), 8, 0.9, 0.7, 2.0, 0.0)
     assert (kept, mean_square) == (8, 0.0)
-    assert trim(matches_at([]), 0, 0.9, 0.7, 2.0) == (0, 0.0)
+    assert trim(matches_at([]), 0, 0.9, 0.7, 2.0, 0.0) == (0, 0.0)
 
 
 def test_of_doubles_the_nearest_is_kept() -> None:

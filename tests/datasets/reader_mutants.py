@@ -79,6 +79,16 @@ def _compressed(path: Path, points: np.ndarray) -> None:
     )
 
 
+def write_las(path: Path, points: np.ndarray) -> None:
+    """A LAS (or LAZ) file in steps of 0.1 mm."""
+    import laspy
+
+    las = laspy.create(point_format=1, file_version="1.2")
+    las.header.scales = np.full(3, 1e-4)
+    las.x, las.y, las.z = points.T
+    las.write(path)
+
+
 def log(count: int = 6) -> str:
     ranges = [3.0 + 0.01 * (i % 40) for i in range(180)]
     lines = [
@@ -144,6 +154,8 @@ FORMATS = {
     "bin": _clouds(".bin", write_cloud),
     "npy": _clouds(".npy", write_cloud),
     "xyz": _clouds(".xyz", _text),
+    "las": _clouds(".las", write_las),
+    "laz": _clouds(".laz", write_las),
     "log": Format(_log, lambda folder: Carmen(str(folder / "a.clf"))),
     "log packed": Format(_packed, lambda folder: Carmen(str(folder / "a.clf"))),
     "relations": Format(

@@ -139,7 +139,7 @@ finite = st.floats(-1e6, 1e6, allow_nan=False)
 logs = st.sampled_from([180, 181, 360, 361]).flatmap(
     lambda count: st.lists(
         st.tuples(
-            st.lists(st.floats(0.01, 49.0), min_size=count, max_size=count),
+            st.lists(st.floats(0.11, 49.0), min_size=count, max_size=count),
             st.tuples(finite, finite, finite),
             st.floats(0, 2e9),
         ),

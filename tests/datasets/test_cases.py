@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -237,3 +239,15 @@ def test_what_is_decided_is_said_in_a_line_each(cases_dir: Path) -> None:
     assert "data: truth: none (else corrected=)" in lines
     assert any(line.startswith("data: odometry: poses of FLASER") for line in lines)
     assert all("\n" not in line and line.startswith("data: ") for line in lines)
+
+
+def test_the_table_has_a_row_a_case(cases_dir: Path) -> None:
+    script = Path(__file__).parents[2] / "scripts" / "benchmarks" / "cases.py"
+    command = [sys.executable, str(script), str(cases_dir)]
+    rows = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    table = dict(row.strip("| ").split(" | ", 1) for row in rows[2:])
+    assert table["pcd_double"].startswith("8 scans, 128000 points; truth in order")
+    assert table["millimetres"].startswith("refused: millimetres/clouds: half of the points")
+    assert "CAUTION the clouds are in coordinates of the world" in table["utm_world"]
+    cases = {path.name for path in cases_dir.iterdir() if path.is_dir()}
+    assert {name.split("/")[0] for name in table} == cases

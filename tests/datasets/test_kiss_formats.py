@@ -15,6 +15,7 @@ from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.datasets.kiss_formats import FORMATS
 from rbtm_bench.datasets.kiss_loader import KissFormat
+from rbtm_bench.datasets.recognise import recognise
 
 START, COUNT = 1_600_000_000, 4
 CONFIGS = Path(__file__).parents[2] / "configs" / "dataset"
@@ -189,6 +190,29 @@ def test_points_times_and_truth(name: str, tmp_path: Path) -> None:
         assert np.linalg.norm(moved[:3, 3]) == pytest.approx(STEP * i, abs=1e-3)
         np.testing.assert_allclose(moved[:3, :3], np.eye(3), atol=1e-3)
     assert len(data.fingerprint()) == 64 and data.readings and not data.suspicions
+
+
+@pytest.mark.parametrize("name", [name for name in TREES if name != "generic"])
+def test_its_folder_is_recognised(name: str, tmp_path: Path) -> None:
+    path = TREES[name][0](tmp_path)
+    found = recognise(str(path))
+    assert (found.pop("dataset"), found.pop("dataset.path")) == (name, str(path))
+    assert found == ({"dataset.sequence": "Ouster"} if name == "helipr" else {})
+    (folder(tmp_path, "LiDAR", "Avia") / "0.bin").touch()
+    if name == "helipr":
+        with pytest.raises(DataError, match=r"sequences Avia, Ouster: dataset\.sequence="):
+            recognise(str(path))
+
+
+@pytest.mark.parametrize("name", ["boreas", "kitti_raw"])
+def test_times_within_the_sweep(name: str, tmp_path: Path) -> None:
+    data = made(name, tmp_path)
+    sweep = float(np.median(np.diff(data.stamps)))
+    kept = data[1]
+    assert kept.times is not None and len(kept.times) == len(kept.points) and sweep > 0
+    assert 0 <= kept.times.min() < kept.times.max() <= sweep
+    again = made(name, tmp_path / "again", min_range=float(np.linalg.norm(kept.points[0])))[1]
+    assert again.times is not None and len(again.times) == len(again.points) < len(kept.points)
 
 
 def test_depth_images(tmp_path: Path) -> None:

@@ -331,6 +331,13 @@ def test_real_frames(real: Kitti) -> None:
     assert np.median(near[near[:, 2] < -1.2][:, 2]) == pytest.approx(-1.73, abs=0.08)
 
 
+def test_the_first_true_poses_are_doubted(real: Kitti, data_dir: Path, kitti: Path) -> None:
+    (doubt,) = Kitti(str(data_dir / "kitti")).suspicions
+    assert "frames 0 to 14 make the same step of 0.860 m, 14 times" in doubt
+    assert "dataset.ground_truth_frames=[14,19]" in doubt
+    assert real.suspicions == () and Kitti(str(kitti), 4).suspicions == ()
+
+
 def test_real_poses_agree_with_calib(real: Kitti, data_dir: Path) -> None:
     words = (data_dir / "kitti" / "sequences" / "00" / "calib.txt").read_text().split()
     Tr = np.vstack([np.array(words[1:13], dtype=float).reshape(3, 4), [0, 0, 0, 1]])

@@ -33,7 +33,12 @@ def compared(clouds: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("compared") / "out"
     words = ["dataset=cloud_folder", f"dataset.path='{clouds}'", "pin=false", f"out='{out}'"]
     poses = f"dataset.poses='{clouds / 'poses.tum'}'"
-    grid = ["backend=open3d_p2plane,kiss_icp", "selector=rbtm", "selector.threshold=0.5"]
+    grid = [
+        "backend=open3d_p2plane,kiss_icp",
+        "selector=rbtm",
+        "selector.threshold=0.5",
+        "controls=none",
+    ]
     assert main(["compare", *words, poses, *grid, "--jobs", "1"]) == 0
     return out
 

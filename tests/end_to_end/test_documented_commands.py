@@ -32,6 +32,7 @@ ELSEWHERE = {
     "python scripts/make_reference.py": "studies/test_make_reference.py",
     "python scripts/benchmarks/kill_sweep.py": "engine/test_stopped_sweeps.py",
     "python scripts/benchmarks/bench_": "end_to_end/test_benchmarks.py",
+    "python scripts/benchmarks/cases.py": "datasets/test_cases.py",
     "python scripts/benchmarks/placebo.py": "report/test_placebo.py",
     "python scripts/benchmarks/nothing_matches.py": "odometry/test_nothing_matches.py",
     "python scripts/make_python_page.py": "cli/test_python_page.py",
@@ -145,6 +146,7 @@ def test_a_documented_command_works(command: str, folder: Path, tmp_path: Path) 
     name, *words = shlex.split(command)[1:]
     if name in RUNS:
         words = [word for word in words if not word.startswith(("seed=", "out="))]
+        words += ["controls=none"]  # 22 runs more each: tests/engine/test_beside.py
     if name in (*RUNS, "similarity", "calibrate"):
         kind = next((w.split("=")[1] for w in words if w.startswith("dataset=")), "corridor")
         words += SMALL[kind] if name != "calibrate" else ()

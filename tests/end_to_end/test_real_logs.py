@@ -29,7 +29,7 @@ def aces(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     log = data_dir / "freiburg" / "aces.clf.gz"
     relations = f"dataset.relations='{log.with_name('aces.relations')}'"
     words = words_of(log, out, relations, f"dataset.max_scans={SCANS}", "--jobs", "1")
-    grid = ["backend=none,open3d_p2p", "selector=previous,rbtm"]
+    grid = ["backend=none,open3d_p2p", "selector=previous,rbtm", "controls=none"]
     assert main(["compare", *words, *grid]) == 0
     return out, pd.read_csv(out / "table.csv").set_index("run")
 

@@ -64,7 +64,8 @@ def extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def compare(out: Path, *words: str, jobs: int = 1) -> int:
     """Exit code of a comparison of small runs, in this process and not pinned."""
-    common = ["dataset.scans=12", "pin=false", f"out='{out}'", "--jobs", str(jobs)]
+    common = ["dataset.scans=12", "pin=false", "controls=none", f"out='{out}'"]
+    common += ["--jobs", str(jobs)]
     return main(["compare", *common, *words])
 
 

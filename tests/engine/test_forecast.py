@@ -41,14 +41,19 @@ def test_ways_that_share_pairs_count_once() -> None:
 
 def test_windows_that_differ_may_hold_any_scan() -> None:
     every = by_hand(12, 11)
-    assert most("selector=keyframe", "guess=identity") == every
+    assert most("selector=keyframe", "guess=identity") == 11  # of one there is one a scan
+    assert most("selector=previous,keyframe", "selector.distance=0.3,0.4", GRID[-1]) == 11 + 2 * 11
+    assert most(*GRID, "selector.distance=0.3", "selector=oldest,keyframe") == 2 * (
+        by_hand(12, 6) + 11
+    )
+    assert most("selector=oldest", "selector.content=keyframes", GRID[-1]) == every
     assert most("selector=rbtm", "selector.window=3", "selector.fallback=skip", GRID[-1]) == every
     assert most("selector=rbtm,random_gap", "selector.window=3", GRID[-1]) == every
 
 
 def test_what_follows_a_trajectory_is_unknown() -> None:
     assert most("selector=previous") == "guess=constant_velocity follows each run's trajectory"
-    words = ("selector=previous", "guess=identity,odometry", "target=single,local_map")
+    words = ("selector=oldest", "guess=identity,odometry", "target=single,local_map")
     assert most(*words) == "target=local_map follows each run's trajectory"
     assert most("backend=kiss_icp_system") == 0  # a system
 
@@ -57,7 +62,7 @@ def test_what_follows_a_trajectory_is_unknown() -> None:
 def test_the_bound_holds_and_comes_first(tmp_path: Path, command: str) -> None:
     words = ("backend=open3d_p2p", "selector=rbtm", "selector.window=4,7", "guess=identity")
     grid = (*words, "selector.threshold=0.3,0.9", "dataset.scans=12", f"out={tmp_path / 'o'}")
-    code, _, err = call(command, *grid)
+    code, _, err = call(command, *grid, "controls=none")
     assert code == 0
     bound = by_hand(12, 6)
     assert err.splitlines()[0].startswith(f"4 runs, all new; at most {bound} distinct")
@@ -85,6 +90,6 @@ def test_what_is_resumed_is_counted_apart(tmp_path: Path, command: str) -> None:
 
 def test_a_large_sweep_is_not_composed() -> None:
     seeds = ",".join(map(str, range(MOST_COMPOSED)))
-    plan = SweepPlan.of([f"seed={seeds}", "selector.window=3,4"], ())
+    plan = SweepPlan.of([f"seed={seeds}", "selector.window=3,4", "controls=none"], ())
     assert plan.to_check(set())[1] == f"more than {MOST_COMPOSED} jobs are not looked into"
     assert len(plan.to_check({str(n) for n in range(2 * MOST_COMPOSED - 3)})[1]) == 3

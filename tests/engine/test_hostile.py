@@ -11,7 +11,8 @@ import pytest
 from hostile_plugins import SLEEP
 from sweep_helpers import call, record_of
 
-SMALL = ("dataset.scans=10", "dataset.beams=91", "pictures=false", "metrics=none", "--jobs", "1")
+FEW = ("dataset.scans=10", "dataset.beams=91", "pictures=false", "controls=none")
+SMALL = (*FEW, "metrics=none", "--jobs", "1")
 CALM = ("backend=open3d_p2p,plicp", "selector=previous,rbtm", "selector.window=5")
 CLASSES = ("backend", "selector", "similarity", "target", "guess", "check")
 DONE = "done"

@@ -17,8 +17,9 @@ from rbtm_bench.engine import hydra_sweep
 from rbtm_bench.metrics.cost import COLUMNS
 from rbtm_bench.runs.settings import composed, composing
 
-WORDS = ("backend=open3d_p2p", "selector.window=4,8", "seed=0,1", "dataset.scans=10")
-HALF = ("backend=open3d_p2p", "selector.window=4", "seed=0,1", "dataset.scans=10")
+GRID = ("backend=open3d_p2p", "seed=0,1", "dataset.scans=10", "controls=none")
+WORDS = ("selector.window=4,8", *GRID)
+HALF = ("selector.window=4", *GRID)
 """The first two of these runs, for launchers that start a process a run."""
 OWN = ("pairs.store=per_worker",)
 START_TRIES = 3

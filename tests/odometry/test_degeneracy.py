@@ -189,3 +189,37 @@ def test_fusing_in_space() -> None:
     T = fused(tunnel, np.eye(4), 0.01).T_target_source
     assert is_rigid(T) and T[0, 3] == 0.0
     assert T[1, 3] == pytest.approx(0.1, rel=0.05) and T[2, 3] == pytest.approx(0.05, rel=0.05)
+
+
+def test_remapping_in_space_by_hand() -> None:
+    """Unseen: x with roll, (1, 0, 0, 1, 0, 0)/sqrt(2); lever 2 turns 0.1 rad into 0.2 m. The guess
+    lies anywhere: what counts is the motion from it, in the scan's own frame."""
+    axis = np.array([1.0, 0.0, 0.0, 1.0, 0.0, 0.0]) / np.sqrt(2.0)
+    guess = se3(np.array([5.0, -2.0, 1.0]), se2(0, 0, 1.2)[:3, :3])
+
+    def rolled(x: float, y: float, roll: float) -> Array:
+        c, s = np.cos(roll), np.sin(roll)
+        return se3(np.array([x, y, 0.0]), np.array([[1, 0, 0], [0, c, -s], [0, s, c]]))
+
+    matrix = 0.5 * (np.eye(6) - np.outer(axis, axis))
+    given = result(guess @ rolled(0.4, 0.1, 0.1), matrix)
+    T = remap(given, guess, DEGENERATE).T_target_source
+    # (0.4, 0.2) m less its part 0.3 along (1, 1): 0.1 m of x, and -0.1 m of roll is -0.05 rad
+    np.testing.assert_allclose(inverse(guess) @ T, rolled(0.1, 0.1, -0.05), atol=1e-12)
+
+
+@pytest.mark.slow
+def test_the_setting_keeps_odometry_along_a_tunnel_in_space() -> None:
+    from rbtm_bench.runs import experiment
+
+    words = ["dataset=simulated", "dataset.place=tunnel", "dataset.scans=25", "guess=odometry"]
+    words += ["backend=open3d_p2plane", "selector=previous"]
+
+    def short_by(*more: str) -> float:
+        parts = experiment.instantiate(compose_settings([*words, *more]))
+        scans = list(parts.dataset)
+        last = [step.T_world_scan for step in odometry(iter(scans), parts.method)][-1]
+        truth = inverse(scans[0].ground_truth) @ scans[-1].ground_truth
+        return abs(float((inverse(truth) @ last)[0, 3]))
+
+    assert short_by("guess_along_degenerate=0.1") < 0.2 * short_by()

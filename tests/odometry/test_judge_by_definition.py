@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rbtm_bench.backends.base import Prepared
+from rbtm_bench.backends.none import NoRegistration
 from rbtm_bench.core.geometry import se2, transform
 from rbtm_bench.core.types import Array
 from rbtm_bench.odometry import judge
@@ -194,3 +195,14 @@ def test_planar_fitness_rmse_and_inliers_by_hand() -> None:
     assert evaluation.fitness == pytest.approx(4 / 6)
     assert evaluation.inlier_rmse == pytest.approx(np.sqrt((0.01 + 0.04) / 4))
     assert evaluation.inliers == 4 and evaluation.localizability is None
+
+
+@pytest.mark.parametrize(("radius", "inliers"), [(None, 8), (0.05, 4), (0.15, 6), (1.0, 10)])
+def test_the_radius_of_the_judge_is_its_own(radius: float | None, inliers: int) -> None:
+    """Ten points, 4 x 0, 2 x .1, 2 x .2 and 2 x .4 m beside ten others; 0.3 is the backend's."""
+    backend = NoRegistration(max_correspondence_distance=0.3)
+    target = np.column_stack([10.0 * np.arange(10), np.zeros(10), np.zeros(10)])
+    source = target + np.array([0, 0, 0, 0, 0.1, 0.1, 0.2, 0.2, 0.4, 0.4])[:, None] * [0, 1, 0]
+    pair = cloud(source), cloud(target)
+    result = judge.register(backend, *pair, np.eye(4), radius=radius)
+    assert (result.inliers, result.fitness) == (inliers, inliers / 10)

@@ -231,6 +231,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The system beside point-to-point with two selectors."""
     out = tmp_path_factory.mktemp("systems") / "out"
     grid = ["backend=kiss_icp_system,open3d_p2p", "selector=previous,rbtm", "dataset.scans=30"]
+    grid += ["controls=none"]
     assert main(["compare", *grid, f"out='{out}'", "--jobs", "1"]) == 0
     return out
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import itertools
+import pickle
 import struct
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,19 +15,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from pairstore_helpers import (
-    bits,
-    key,
-    known,
-    outcome,
-)
+from pairstore_helpers import bits, key, outcome
 
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Localizability, RegistrationResult
-from rbtm_bench.pairs.codec import DamageError, pack, unpack
-from rbtm_bench.pairs.store import PairStore, context, pair_key
-
-pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")  # a note that nobody expects
+from rbtm_bench.pairs.codec import context, pack, pair_key, unpack
+from rbtm_bench.pairs.store import PairStore
 
 DOUBLES = st.integers(0, 2**64 - 1).map(lambda n: struct.unpack("<d", struct.pack("<Q", n))[0])
 SPECIAL = st.sampled_from([0.0, -0.0, float("nan"), float("inf"), -float("inf"), 5e-324])
@@ -35,10 +29,9 @@ FLOATS = DOUBLES | SPECIAL
 
 def matrices(side: int) -> st.SearchStrategy[np.ndarray]:
     size = side * side * 8
-    by_rows = st.binary(min_size=size, max_size=size).map(
+    return st.binary(min_size=size, max_size=size).map(
         lambda b: np.frombuffer(b, np.float64).reshape(side, side).copy()
     )
-    return by_rows | by_rows.map(np.asfortranarray)
 
 
 PLAIN = st.builds(
@@ -88,67 +81,43 @@ def test_values_come_back_bit_for_bit(one_store: Any, value: Any) -> None:
     assert back is not reader.get(name)  # nobody shares arrays with anybody
 
 
-def test_every_field_of_a_result_is_kept() -> None:
-    """A new field must be written too: then raise ``FORMAT`` and add it to this list."""
-    names = [field.name for field in dataclasses.fields(RegistrationResult)]
-    names.remove("reused")  # says where a result came from; the caller's business
-    assert names == [
-        *("T_target_source", "converged", "fitness", "inlier_rmse", "inliers", "iterations"),
-        *("seconds", "information", "library_fitness", "library_rmse"),
-        *("localizability", "search_seconds", "search_score", "search_peak_ratio"),
-    ]
-
-
 @settings(max_examples=200, deadline=None)
 @given(value=RESULTS | ERRORS, at=st.integers(0), bit=st.integers(0, 7))
 def test_one_changed_bit_is_noticed(value: Any, at: int, bit: int) -> None:
     blob = bytearray(pack(b"key", value))
     blob[at % len(blob)] ^= 1 << bit
     for name, damaged in ((b"key", bytes(blob)), (b"kez", pack(b"key", value)), (b"key", b"")):
-        with pytest.raises(DamageError):
-            unpack(name, damaged)
+        assert unpack(name, damaged) is None
 
 
-def test_pending_pairs_are_found_and_the_first_outcome_stays(tmp_path: Path) -> None:
-    with PairStore(tmp_path, batch=10, seconds=100) as store, PairStore(tmp_path) as other:
-        store.put(key(1), outcome(1))
-        store.put(key(1), outcome(2))
-        assert known(store, range(2)) == 1
-        assert known(other, range(2)) == 0
-        store.flush()
-        store.put(key(1), outcome(2))
-        store.flush()
-        assert known(other, range(2)) == 1
-
-
-def test_pending_pairs_are_written_after_a_time(tmp_path: Path) -> None:
-    with PairStore(tmp_path, seconds=0.05) as store, PairStore(tmp_path) as other:
-        store.put(key(1), outcome(1))
-        assert known(other, range(2)) == 0
-        time.sleep(0.06)
-        store.get(key(0))
-        assert known(other, range(2)) == 1
+def test_a_value_that_would_run_something_does_not() -> None:
+    """A stranger's file may hold any bytes behind a checksum that fits."""
+    payload = pickle.dumps([print], 5)
+    blob = hashlib.blake2b(b"key" + payload, digest_size=8).digest() + payload
+    with pytest.raises(pickle.UnpicklingError, match=r"builtins\.print"):
+        unpack(b"key", blob)
 
 
 @pytest.mark.parametrize(
     "change",
     [
         {"T_target_source": np.eye(4, dtype=np.float32)},
-        {"T_target_source": np.eye(3)},
-        {"information": np.eye(3)},
+        {"T_target_source": np.asfortranarray(np.arange(16.0).reshape(4, 4))},
         {"information": np.eye(6).tolist()},
-        {"iterations": 1.5},
-        {"inliers": 2**64},
+        {"fitness": np.float64(1.0)},
+        {"inliers": np.int64(3)},
     ],
 )
-def test_what_would_change_is_not_kept(tmp_path: Path, change: dict[str, Any]) -> None:
+def test_what_would_change_is_not_kept(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: dict[str, Any]
+) -> None:
+    """In its type or in the order of its numbers: BLAS may round differently."""
     with PairStore(tmp_path) as store:
-        with pytest.warns(RuntimeWarning, match="not kept"):
-            result = outcome(1)
-            assert isinstance(result, RegistrationResult)
-            store.put(key(1), dataclasses.replace(result, **change))
+        result = outcome(1)
+        assert isinstance(result, RegistrationResult)
+        store.put(key(1), dataclasses.replace(result, **change))
         assert store.get(key(1)) is None
-        assert len(store.notes) == 1
+    assert capsys.readouterr().err.count("is not kept") == 1
 
 
 def test_failures_of_the_machine_are_not_kept(tmp_path: Path) -> None:

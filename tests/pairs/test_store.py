@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import fcntl
 import os
 import threading
 import time
@@ -21,35 +19,63 @@ from pairstore_helpers import (
     killed_writers,
     known,
     make,
-    no_locks,
     outcome,
+    overwrite,
     sql,
 )
 
-from rbtm_bench.pairs import files
-from rbtm_bench.pairs import store as pairstore
+from rbtm_bench.core.types import RegistrationResult
 from rbtm_bench.pairs.store import PairStore, merge
 
-pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")  # a note that nobody expects
+
+@pytest.fixture(autouse=True)
+def silence(capfd: pytest.CaptureFixture[str]) -> Any:
+    """Nothing is said that a test does not read."""
+    yield
+    assert capfd.readouterr().err == ""
+
+
+def stored(folder: Path) -> int:
+    """What a new process sees of the first 10,000 pairs."""
+    with PairStore(folder) as store:
+        return known(store, range(10_000))
+
+
+# --- one process, and several
+
+
+def test_what_comes_back_says_that_it_is_not_new(tmp_path: Path) -> None:
+    with PairStore(tmp_path) as store:
+        store.put(key(1), outcome(1))
+        for _ in ("pending", "written"):
+            known = store.get(key(1))
+            assert isinstance(known, RegistrationResult) and known.reused
+            store.flush()
+
+
+def test_pending_pairs_are_seen_by_others_when_they_are_written(tmp_path: Path) -> None:
+    with PairStore(tmp_path, batch=10, seconds=100) as store, PairStore(tmp_path) as other:
+        fill(store, range(9))
+        assert (known(store, range(20)), known(other, range(20))) == (9, 0)
+        fill(store, range(9, 11))
+        assert (known(store, range(20)), known(other, range(20))) == (11, 10)
+        store.flush()
+        assert known(other, range(20)) == 11
+
+
+def test_pending_pairs_are_written_after_a_time(tmp_path: Path) -> None:
+    with PairStore(tmp_path, seconds=0.05) as store, PairStore(tmp_path) as other:
+        fill(store, range(1))
+        assert known(other, range(2)) == 0
+        time.sleep(0.06)
+        fill(store, range(1, 2))
+        assert known(other, range(2)) == 2
 
 
 def test_four_processes_write_and_read_at_once(tmp_path: Path) -> None:
-    parts = [range(start, start + 3000) for start in (0, 1000, 2000, 3000)]
-    answers = at_once(tmp_path, "shared", parts)
-    assert all(not notes for _, notes in answers)
-    assert sorted(os.listdir(tmp_path)) == ["pairs.lock", "pairs.sqlite"]  # all closed cleanly
-    with PairStore(tmp_path) as store:
-        assert known(store, range(6000)) == 6000
-        assert store._count() == 6000
-
-
-def test_one_of_two_processes_sets_a_damaged_store_aside(tmp_path: Path) -> None:
-    (tmp_path / "pairs.sqlite").write_bytes(b"no store" * 1000)
-    answers = at_once(tmp_path, "shared", [range(500), range(500)])
-    assert sorted(len(notes) for _, notes in answers) == [0, 1]
-    assert aside(tmp_path) == ["pairs.sqlite.damaged-1"]
-    with PairStore(tmp_path) as store:
-        assert known(store, range(500)) == 500
+    at_once(tmp_path, "shared", [range(start, start + 3000) for start in (0, 1000, 2000, 3000)])
+    assert os.listdir(tmp_path) == ["pairs.sqlite"]  # all closed cleanly
+    assert stored(tmp_path) == 6000
 
 
 def test_readers_do_not_let_the_log_grow(tmp_path: Path) -> None:
@@ -76,16 +102,18 @@ def test_a_killed_process_loses_at_most_its_last_batch(tmp_path: Path) -> None:
                 for start, (put, committed) in zip(starts, writers, strict=True):
                     assert known(store, range(start, committed)) == committed - start
                     # the last put may have been written without a word of it
-                    stored = known(store, range(start, put + BATCH + 1))
-                    assert stored >= put - start - BATCH
-                    total += stored
+                    there = known(store, range(start, put + BATCH + 1))
+                    assert there >= put - start - BATCH
+                    total += there
                 new = range(10**8 + attempt, 10**8 + attempt + 1)
                 fill(store, new)
                 store.flush()
                 assert known(store, new) == 1
-            assert not store.notes
     assert total > 10 * BATCH
     assert aside(folder) == []
+
+
+# --- forks
 
 
 def in_a_child(action: Callable[[], bool]) -> Callable[[], bool]:
@@ -107,69 +135,57 @@ def test_a_fork_is_noticed(tmp_path: Path, mode: Any) -> None:
     fill(store, range(2000, 2010))
     store.flush()
     fill(store, range(3000, 3010))  # pending
+    looked, tell = os.pipe()
     closed, go_on = os.pipe()
 
     def child() -> bool:
-        stored = known(store, range(1000)) == 1000
+        there = known(store, range(1000)) == 1000
         pending = known(store, range(3000, 3010))
+        os.write(tell, b"x")
         fill(store, range(4000, 4010))
         os.read(closed, 1)
         store.close()
-        return stored and pending == 0
+        return there and pending == 0
 
     done = in_a_child(child)
-    time.sleep(0.2)
+    os.read(looked, 1)
     assert known(store, range(2000, 3010)) == 20
     store.close()  # with SQLite's inherited locks, the child would now write into nothing
     os.write(go_on, b"x")
     assert done()
-    assert merge(tmp_path) == 1030
-    with PairStore(tmp_path) as store:
-        assert known(store, range(5000)) == 1030
+    assert stored(tmp_path) == 1030
 
 
 def test_a_fork_from_another_thread(tmp_path: Path) -> None:
-    """The files of a thread cannot be closed by another: the child does without the store."""
     make(tmp_path)
+    opened, forked = threading.Event(), threading.Event()
     stores: list[PairStore] = []
-    forked, checked = threading.Event(), threading.Event()
 
     def own() -> None:
         stores.append(PairStore(tmp_path))
-        forked.set()
-        checked.wait()
+        opened.set()
+        forked.wait()
         assert known(stores[0], range(1000)) == 1000
         stores[0].close()
 
     thread = threading.Thread(target=own)
     thread.start()
-    forked.wait()
-
-    def child() -> bool:
-        with pytest.warns(RuntimeWarning, match="forked"):
-            store = stores[0]
-            store.put(key(2000), outcome(2000))
-            return store.get(key(1)) is None
-
-    assert in_a_child(child)()
-    checked.set()
+    opened.wait()
+    assert in_a_child(lambda: known(stores[0], range(1000)) == 1000)()
+    forked.set()
     thread.join()
-    with PairStore(tmp_path) as store:
-        assert known(store, range(3000)) == 1000
+    assert stored(tmp_path) == 1000
 
 
 def test_a_child_that_only_closes(tmp_path: Path) -> None:
     with PairStore(tmp_path) as store:
         fill(store, range(10))
-
-        def child() -> bool:
-            store.close()
-            return True
-
-        assert in_a_child(child)()
+        assert in_a_child(lambda: store.close() is None)()
         assert known(store, range(10)) == 10
-    with PairStore(tmp_path) as store:
-        assert known(store, range(10)) == 10
+    assert stored(tmp_path) == 10
+
+
+# --- a file a worker
 
 
 def test_workers_read_what_others_have_closed(tmp_path: Path) -> None:
@@ -178,128 +194,99 @@ def test_workers_read_what_others_have_closed(tmp_path: Path) -> None:
     fill(other, range(10, 20))
     one.flush()
     other.flush()
-    assert len(list(tmp_path.glob("*.sqlite.open"))) == 2
-    assert not list(tmp_path.glob("*.sqlite"))
     assert known(one, range(20)) == 10
     one.close()
-    other._rescan = 0.0
     other.flush()
     assert known(other, range(20)) == 20
     other.close()
-    assert all(name.endswith(".sqlite") for name in os.listdir(tmp_path))
-    with PairStore(tmp_path, "per_worker") as third:
-        assert known(third, range(20)) == 20
-    assert len(os.listdir(tmp_path)) == 2  # the third had nothing to write
+    for mode in ("per_worker", "shared"):
+        with PairStore(tmp_path, mode) as third:  # type: ignore[arg-type]
+            assert known(third, range(20)) == 20
+    merge(tmp_path)
+    assert len(list(tmp_path.glob("pairs-*"))) == 1
+    for mode in ("per_worker", "shared"):
+        with PairStore(tmp_path, mode) as fourth:  # type: ignore[arg-type]
+            assert known(fourth, range(20)) == 20
 
-    assert merge(tmp_path) == 20
-    assert sorted(os.listdir(tmp_path)) == ["pairs.lock", "pairs.sqlite"]
-    with PairStore(tmp_path) as store:
-        assert known(store, range(20)) == 20
-        with PairStore(tmp_path, "per_worker") as fourth:
-            assert known(fourth, range(20)) == 0  # not while somebody writes it
-    with PairStore(tmp_path, "per_worker") as fourth:
-        assert known(fourth, range(20)) == 20
-    assert merge(tmp_path) == 20
+
+def test_workers_read_a_shared_store_that_nobody_writes(tmp_path: Path) -> None:
+    make(tmp_path, 10)
+    with PairStore(tmp_path), PairStore(tmp_path, "per_worker") as worker:
+        assert known(worker, range(10)) == 0
+    with PairStore(tmp_path, "per_worker") as worker:
+        assert known(worker, range(10)) == 10
 
 
 def test_four_workers_and_a_merge(tmp_path: Path) -> None:
     parts = [range(start, start + 1000) for start in (0, 0, 500, 1000)]
-    answers = at_once(tmp_path, "per_worker", parts)
-    assert all(not notes for _, notes in answers)
-    assert merge(tmp_path) == 2000
-    with PairStore(tmp_path) as store:
-        assert known(store, range(2000)) == 2000
+    at_once(tmp_path, "per_worker", parts)
+    merge(tmp_path)
+    assert len(os.listdir(tmp_path)) == 1
+    assert stored(tmp_path) == 2000
 
 
 def test_merge_takes_the_files_of_killed_workers(tmp_path: Path) -> None:
     folder = tmp_path / "pairs"
-    total = 0
     for attempt in range(2):
         starts = [attempt * 10**6, attempt * 10**6 + 500_000]
         writers = killed_writers(folder, starts, "per_worker", tmp_path / f"log{attempt}")
-        assert len(list(folder.glob("*.open"))) <= 2  # one may not have got that far
-        total = merge(folder)
-        assert sorted(os.listdir(folder)) == ["pairs.lock", "pairs.sqlite"]
+        assert list(folder.glob("*.open"))
+        merge(folder)
+        assert len(list(folder.glob("pairs-*"))) == 1
         with PairStore(folder) as store:
             for start, (put, committed) in zip(starts, writers, strict=True):
                 assert known(store, range(start, committed)) == committed - start
                 assert known(store, range(start, put)) >= put - start - BATCH
-    assert total > 0
-
-
-def test_what_was_being_made_by_a_killed_process_goes(tmp_path: Path) -> None:
-    (tmp_path / ".1.partial.pairs.sqlite").write_bytes(b"")
-    (tmp_path / ".1.partial.pairs-host-1-ab.sqlite.open-journal").write_bytes(b"")
-    assert merge(tmp_path) == 0
-    assert sorted(os.listdir(tmp_path)) == ["pairs.lock", "pairs.sqlite"]
 
 
 def test_merge_leaves_living_workers_alone(tmp_path: Path) -> None:
     with PairStore(tmp_path, "per_worker") as store:
         fill(store, range(10))
         store.flush()
-        assert merge(tmp_path) == 0
+        merge(tmp_path)
         assert known(store, range(10)) == 10
-    assert merge(tmp_path) == 10
+        assert stored(tmp_path) == 0
+    assert stored(tmp_path) == 10
 
 
-def test_merge_sets_damaged_files_aside(tmp_path: Path) -> None:
-    for part in (range(10), range(10, 20), range(20, 30), range(30, 40)):
-        with PairStore(tmp_path, "per_worker") as store:
+def closed_files(folder: Path, *parts: range) -> list[Path]:
+    """One file a part, in their order."""
+    paths: list[Path] = []
+    for part in parts:
+        with PairStore(folder, "per_worker") as store:
             fill(store, part)
-    first, second, third, _ = files.sealed_files(tmp_path)
-    first.write_bytes(b"no store")
-    sql(second, "UPDATE pairs SET value = x'00'")
-    os.truncate(third, 4096)
-    with pytest.warns(RuntimeWarning, match="not to be trusted"):
-        assert merge(tmp_path) == 10
-    assert len(aside(tmp_path)) == 3
-    assert files.sealed_files(tmp_path) == []
+        paths += set(folder.glob("pairs-*.sqlite")) - set(paths)
+    return paths
 
 
-def test_a_worker_sets_damaged_files_aside(tmp_path: Path) -> None:
-    for part in (range(10), range(10, 20), range(20, 30)):
-        with PairStore(tmp_path, "per_worker") as store:
-            fill(store, part)
-    first, second, _ = files.sealed_files(tmp_path)
-    first.write_bytes(b"no store")
-    sql(second, "UPDATE pairs SET value = x'00'")
-    with pytest.warns(RuntimeWarning), PairStore(tmp_path, "per_worker") as store:
-        assert known(store, range(30)) == 10
-        assert len(store.notes) == 2
-        fill(store, range(30, 40))
-        store.flush()
-        assert store._own is not None
-        store._own.db.execute("UPDATE pairs SET value = x'00'")
-        assert known(store, range(30, 40)) == 0
-        fill(store, range(30, 35))
-    assert len(aside(tmp_path)) == 3
-    assert merge(tmp_path) == 15
+def test_merge_takes_what_is_sound_of_damaged_files(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    parts = range(10), range(10, 20), range(20, 120), range(120, 130)
+    first, second, third, _ = closed_files(tmp_path, *parts)
+    first.write_bytes(b"no store" * 1000)
+    sql(second, f"UPDATE pairs SET value = x'00' WHERE key = x'{key(15).hex()}'")
+    overwrite(third, third.stat().st_size - 4096, os.urandom(4096))
+    merge(tmp_path)
+    assert 19 <= stored(tmp_path) < 119
+    names = {name.partition(".damaged-")[0] for name in aside(tmp_path)}
+    assert names == {first.name, third.name}
+    assert len(list(tmp_path.glob("pairs-*.sqlite"))) == 1
+    assert capfd.readouterr().err.count("set aside as") == 2
 
 
-def test_merge_without_locks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    make(tmp_path, 10)  # once made where locks work
-    monkeypatch.setattr(fcntl, "flock", no_locks)
-    with PairStore(tmp_path, "per_worker") as store:
-        assert known(store, range(20)) == 10
-        fill(store, range(10, 20))
-    assert merge(tmp_path) == 20
-    with PairStore(tmp_path, "per_worker") as store:
-        assert known(store, range(20)) == 20
+def test_merge_keeps_what_it_cannot_write(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed_files(tmp_path, range(10), range(10, 20))
+
+    def full(self: PairStore) -> None:
+        self._give_up(OSError("No space left on device"))
+
+    monkeypatch.setattr(PairStore, "_write", full)
+    merge(tmp_path)
     monkeypatch.undo()
-    with PairStore(tmp_path) as store:
-        assert known(store, range(20)) == 20
-
-
-def test_merge_keeps_what_it_cannot_write(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with PairStore(tmp_path, "per_worker") as store:
-        fill(store, range(10))
-
-    def full(db: object, rows: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(pairstore, "insert", full)
-    with pytest.warns(RuntimeWarning, match="No space"):
-        assert merge(tmp_path) == 0
-    monkeypatch.undo()
-    assert merge(tmp_path) == 10
+    assert "No space left on device" in capfd.readouterr().err
+    assert stored(tmp_path) == 20
+    merge(tmp_path)
+    assert stored(tmp_path) == 20

@@ -48,7 +48,7 @@ def test_beyond_the_bound_the_oldest_is_looked_at_and_let_go() -> None:
 
 def test_pairs_of_a_held_store_can_be_dropped(tmp_path: Path) -> None:
     with PairStore(tmp_path, batch=1, seconds=0.0) as store, PairStore(tmp_path) as other:
-        store.held = True
+        store.hold(True)
         store.put(b"k" * 24, BackendError("a"))
         assert isinstance(store.get(b"k" * 24), BackendError) and other.get(b"k" * 24) is None
         store.drop()

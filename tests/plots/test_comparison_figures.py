@@ -18,8 +18,8 @@ from rbtm_bench.core.errors import DataError
 from rbtm_bench.plots import boxes, cost, growth, looks, occupancy, style, trajectories
 from rbtm_bench.plots.placing import Label, place
 from rbtm_bench.runs import stored
-from rbtm_bench.runs.experiment import write_npz
 from rbtm_bench.runs.occupancy import Occupancy
+from rbtm_bench.runs.pictures import write_npz
 
 # --- accuracy against time
 

@@ -21,7 +21,8 @@ from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import StepRecord, StepTable
 from rbtm_bench.plots import folder, labels, maps, matrix, methods, pairs, steps, style
 from rbtm_bench.runs import stored
-from rbtm_bench.runs.experiment import write_npz, write_steps
+from rbtm_bench.runs.experiment import write_steps
+from rbtm_bench.runs.pictures import write_npz
 
 N = 12
 SELECTORS: dict[str, dict[str, Any]] = {

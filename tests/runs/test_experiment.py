@@ -24,9 +24,10 @@ from rbtm_bench.metrics.kitti import KittiErrors
 from rbtm_bench.metrics.relations import RelationError
 from rbtm_bench.metrics.rpe import Rpe
 from rbtm_bench.metrics.summary import COLUMNS
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import experiment, pictures
 from rbtm_bench.runs.claim import refuse_existing
 from rbtm_bench.runs.evaluation import COMMON
+from rbtm_bench.runs.looped import FILES as LOOP_FILES
 from rbtm_bench.runs.settings import Settings, compose_settings
 from rbtm_bench.similarity.curvature_circular import CurvatureCircular
 
@@ -136,15 +137,18 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 # --- the files of a run
 
+ABSENT = {"relations.parquet", COMMON, *LOOP_FILES}
+"""No relations, no replicates, no loops."""
+
 
 def test_files_of_a_run(done: Path) -> None:
-    expected = set(experiment.FILES) - {"relations.parquet", COMMON}  # no relations, no replicates
+    expected = set(experiment.FILES) - ABSENT
     assert {p.name for p in done.iterdir()} == expected
 
 
 def test_no_scores_no_similarity_file(tmp_path: Path) -> None:
     assert run(tmp_path, "backend=none", "selector=previous") == 0
-    expected = set(experiment.FILES) - {"similarity.npz", "relations.parquet", COMMON}
+    expected = set(experiment.FILES) - ABSENT - {"similarity.npz"}
     assert {p.name for p in tmp_path.iterdir()} == expected
 
 
@@ -218,8 +222,8 @@ def test_map_and_similarity(done: Path) -> None:
 
 def test_similarity_picture_of_a_long_run_is_thinned() -> None:
     dataset = Corridor(scans=400, beams=61)
-    scans, scores = experiment.similarity_matrix(dataset, CurvatureCircular(half_span_deg=8.0))
-    assert len(scans) == experiment.SIMILARITY_PICTURE
+    scans, scores = pictures.similarity_matrix(dataset, CurvatureCircular(half_span_deg=8.0))
+    assert len(scans) == pictures.SIMILARITY_PICTURE
     assert (scans[0], scans[-1]) == (0, 399) and (np.diff(scans) > 0).all()
     assert scores.shape == (len(scans), len(scans))
 
@@ -379,7 +383,7 @@ def test_same_settings_same_bits_serial_parallel_and_in_another_process(tmp_path
         done = subprocess.run(command, cwd=tmp_path, env=env, capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
 
-    grid = ["backend=open3d_p2p,open3d_p2plane", "selector=rbtm,random_gap"]
+    grid = ["backend=open3d_p2p,open3d_p2plane", "selector=rbtm,random_gap", "controls=none"]
     call("compare", *grid, "selector.threshold=0.2", "out=serial", "--jobs", "1")
     call("compare", *grid, "selector.threshold=0.2", "out=parallel", "--jobs", "2")
     call("run", "backend=open3d_p2plane", "selector.threshold=0.2", "out=alone")

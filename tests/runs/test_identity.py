@@ -137,7 +137,7 @@ def test_idle_names_are_whole_names() -> None:
 
 
 def test_a_list_of_similarities_is_labelled_by_its_names(tmp_path: Path) -> None:
-    words = ["backend=open3d_p2p", "selector=rbtm", *SHORT]
+    words = ["backend=open3d_p2p", "selector=rbtm", "controls=none", *SHORT]
     code, _, _ = call(
         "compare", *words, "similarity=overlap,curvature_circular", f"out={tmp_path / 'c'}"
     )

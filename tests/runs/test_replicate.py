@@ -35,6 +35,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two backends, two replicates and the run on the data as they are."""
     out = tmp_path_factory.mktemp("replicates") / "c"
     words = ["backend=plicp,open3d_p2p", "selector=keyframe,rbtm", "selector.window=4", *SHORT]
+    words += ["controls=none"]
     code, _, _ = call("compare", *words, "replicates=2", f"out={out}", "-j", "1")
     assert code == 0
     return out

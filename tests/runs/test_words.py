@@ -46,7 +46,7 @@ def test_every_setting_that_is_text_is_known() -> None:
                 is_union = isinstance(parameter.annotation, types.UnionType)
                 if parameter.annotation is str or (is_union and str in kinds):
                     found.add(f"{group}.{key}")
-    assert found == TEXT - {"pairs.folder", "out", "selector.gaps_from"}
+    assert found == TEXT - {"pairs.folder", "out", "selector.gaps_from", "selector.gaps_sha256"}
 
 
 @pytest.mark.parametrize(

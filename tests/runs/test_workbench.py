@@ -9,9 +9,8 @@ import pytest
 from step_helpers import TIMES, assert_same, steps
 
 from rbtm_bench.core.step_columns import STEPS
-from rbtm_bench.pairs.shared import Bounded
 from rbtm_bench.pairs.store import PairStore
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import experiment, pictures
 from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.runs.workbench import Workbench
 
@@ -84,17 +83,6 @@ def test_other_data_other_backend_other_seed_share_nothing(tmp_path: Path) -> No
             assert not any(s.record.reused for s in run[1:]), change
 
 
-def test_memory_is_bounded() -> None:
-    bounded: Bounded[int] = Bounded(100)
-    for item in range(50):
-        bounded.put(item, item, 30)
-    assert len(bounded) == 3 and bounded.used == 90
-    assert bounded.get(49) == 49 and bounded.get(0) is None
-    bounded.get(47)
-    bounded.put(50, 50, 30)
-    assert bounded.get(47) == 47 and bounded.get(48) is None, "the least recently used goes first"
-
-
 def test_a_tiny_memory_changes_no_bit() -> None:
     settings = compose_settings([SCANS, *METHODS["odometry"]])
     plain = steps(experiment.instantiate(settings))
@@ -111,7 +99,7 @@ def test_every_time_of_a_step_is_exempt_from_the_comparison() -> None:
 def test_matrices_for_pictures_are_the_same_bits() -> None:
     settings = compose_settings([SCANS, *METHODS["odometry"]])
     plain, shared = experiment.instantiate(settings), Workbench().parts(settings)
-    scans, expected = experiment.similarity_matrix(plain.dataset, plain.method.similarity)
-    _, found = experiment.similarity_matrix(shared.dataset, shared.method.similarity)
+    scans, expected = pictures.similarity_matrix(plain.dataset, plain.method.similarity)
+    _, found = pictures.similarity_matrix(shared.dataset, shared.method.similarity)
     assert len(scans) == 40
     np.testing.assert_array_equal(found, expected)

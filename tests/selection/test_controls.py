@@ -19,6 +19,7 @@ from rbtm_bench.selection.keyframe import Keyframe
 from rbtm_bench.selection.oldest import Oldest
 from rbtm_bench.selection.previous import Previous
 from rbtm_bench.selection.random_gap import RandomGap, read_gaps
+from rbtm_bench.selection.shifted_gap import ShiftedGap, digest, sequence
 
 
 def chosen(selector: Selector, poses: list[Array], left_out: set[int] | None = None) -> list[int]:
@@ -57,6 +58,102 @@ def test_fixed_gap_takes_the_nearest_where_a_scan_is_missing() -> None:
 def test_fixed_gap_takes_neither_the_oldest_nor_the_newest_where_more_are_missing() -> None:
     """Scan 6 wants 3: of 1, 2 and 5 the nearest is 2; scan 7 wants 4: of 2, 5 and 6 it is 5."""
     assert chosen(FixedGap(3), drive(8), left_out={3, 4}) == [0, 0, 0, 1, 2, 2, 5]
+
+
+@pytest.mark.parametrize(
+    ("gap", "expected"),
+    [
+        (2.5, [2, 3, 2, 3, 2, 3]),  # floor of 2.5 i: 0 2 5 7 10 12 15
+        (3.4, [3, 3, 4, 3, 4, 3, 3, 4, 3, 4]),  # 0 3 6 10 13 17 20 23 27 30 34
+        (1.25, [1, 1, 1, 2]),  # 0 1 2 3 5
+    ],
+)
+def test_a_gap_between_whole_numbers_is_dithered(gap, expected) -> None:
+    selector = FixedGap(gap)
+    models = np.arange(100 - selector.capacity, 100)
+    positions = [selector.order(i, models - 100 + i, models)[0][0] for i in range(1, 41)]
+    gaps = [selector.capacity - position for position in positions]
+    assert gaps[: len(expected)] == expected
+    assert abs(np.mean(gaps) - gap) < 1 / 40
+
+
+def test_a_dithered_gap_is_clamped_at_the_start() -> None:
+    assert chosen(FixedGap(2.5), drive(8)) == [0, 0, 1, 1, 3, 3, 5]
+
+
+# shifted_gap
+
+
+def shifted(offset: int, gaps: list[int], scans: int = 7, **settings: Any) -> list[int]:
+    """The model scan of each scan, -1 for one without a candidate."""
+    selector = ShiftedGap(gaps=gaps, offset=offset, **settings)
+    window, models = selector.window(), []
+    for scan, pose in enumerate(drive(scans)):
+        if len(window):
+            unknown = np.full(len(window), np.nan)
+            found = selector.select(scan, window.scans, unknown).candidates
+            models.append(found[0].model if found else -1)
+        window.push(Node(scan, 0.0, pose))
+    return models
+
+
+GAPS = [1, 2, 1, 3, 1, 5]
+
+
+@pytest.mark.parametrize(
+    ("offset", "expected"),
+    [
+        (0, [0, 0, 2, 1, 4, 1]),  # the gaps as they are
+        (1, [0, 1, 0, 3, 0, 5]),  # 2 1 3 1 5 1, the first clipped at the start
+        (3, [0, 1, 0, 3, 3, 5]),  # 3 1 5 1 2 1, the first and the third clipped
+        (6, [0, 0, 2, 1, 4, 1]),  # all the way round
+    ],
+)
+def test_shifted_gaps_by_hand(offset, expected) -> None:
+    assert shifted(offset, GAPS) == expected
+
+
+def test_every_rotation_has_the_same_gaps_as_often() -> None:
+    gaps = [1, 2, 1, 3, 1, 2, 2, 1]
+    for offset in range(8):
+        models = shifted(offset, gaps, scans=25)  # three rounds
+        drawn = [scan - model for scan, model in enumerate(models, start=1)][8:]
+        assert sorted(drawn) == sorted(gaps * 2)
+
+
+def test_shifted_gaps_end_where_the_window_does() -> None:
+    assert shifted(0, [1, 2, 3, 4, 5, 6], window=4) == [0, 0, 0, 1, 2, 3]
+
+
+def test_a_scan_that_was_registered_to_nothing_is_again() -> None:
+    assert shifted(0, [1, 0, 2, 0]) == [0, -1, 1, -1, 4, -1]
+    assert shifted(1, [1, 0, 2, 0]) == [-1, 0, -1, 3, -1, 4]
+
+
+def test_shifted_gaps_of_keyframes_take_the_nearest_one() -> None:
+    """Keyframes 0, 3, 6: scan 5 wants 1, which is none, scan 6 wants 1 as well."""
+    settings = {"content": "keyframes", "keyframe_distance": 0.3}
+    assert shifted(0, [1, 1, 1, 1, 4, 5], **settings) == [0, 0, 0, 3, 0, 0]
+
+
+def test_shifted_gaps_are_those_of_the_very_run(tmp_path: Path) -> None:
+    """The first scan has no gap; others without one count."""
+    write_steps(tmp_path / "steps.parquet", scan=list(range(6)), gap=[None, 1, 2, None, 4, 4])
+    assert sequence(tmp_path) == [1, 2, 0, 4, 4]
+    known = digest([1, 2, 0, 4, 4])
+    assert ShiftedGap(gaps_from=str(tmp_path), gaps_sha256=known).gaps == [1, 2, 0, 4, 4]
+    write_steps(tmp_path / "steps.parquet", scan=list(range(6)), gap=[None, 1, 2, None, 4, 3])
+    with pytest.raises(DataError, match="the run was made again, by other settings"):
+        ShiftedGap(gaps_from=str(tmp_path), gaps_sha256=known)
+    write_steps(tmp_path / "steps.parquet", scan=[0, 1], gap=pa.nulls(2, pa.int64()))
+    with pytest.raises(DataError, match="no registered scan"):
+        ShiftedGap(gaps_from=str(tmp_path))
+
+
+@pytest.mark.parametrize("settings", [{}, {"gaps": []}, {"gaps": [1], "gaps_from": "somewhere"}])
+def test_shifted_gap_wants_gaps_from_one_place(settings: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match=r"shifted_gap: expected either selector\.gaps_from"):
+        ShiftedGap(**settings)
 
 
 def test_oldest_is_the_oldest_of_the_window() -> None:

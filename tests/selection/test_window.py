@@ -100,3 +100,40 @@ def test_an_empty_window_knows_no_scan() -> None:
 def test_a_capacity_of_nothing_is_refused() -> None:
     with pytest.raises(ValueError, match="expected at least 1"):
         Window(0)
+
+
+def test_a_window_in_metres_keeps_what_was_travelled() -> None:
+    """0.5 m forth and 0.5 m back are 1 m, though the robot is where it was."""
+    window = Window(10, length=1.0)
+    for scan, (x, members) in enumerate(
+        [
+            (0.0, [0]),
+            (0.5, [0, 1]),
+            (0.0, [0, 1, 2]),
+            (0.25, [1, 2, 3]),
+            (5.25, [4]),
+            (5.25, [4, 5]),
+        ]
+    ):
+        window.push(node(scan, x))
+        assert window.scans.tolist() == members
+        assert [m.scan for m in window.nodes] == members
+        assert window.is_full == (scan >= 3)
+
+
+def test_travelling_counts_between_keyframes() -> None:
+    """Keyframes every 0.5 m; what lies between them ages those kept, by every bend of the way."""
+    window = Window(10, Keyframes(distance=0.5, angle_deg=90.0), length=0.7)
+    for scan, (x, members) in enumerate(
+        [(0.0, [0]), (0.3, [0]), (0.1, [0]), (0.25, [0]), (0.5, [4]), (0.9, [4])]
+    ):
+        window.push(node(scan, x))
+        assert window.scans.tolist() == members, scan
+
+
+def test_the_capacity_holds_beside_metres() -> None:
+    window = Window(2, length=100.0)
+    for scan in range(4):
+        assert window.is_full == (scan >= 2)
+        window.push(node(scan, 0.1 * scan))
+    assert window.scans.tolist() == [2, 3]

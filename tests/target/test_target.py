@@ -166,3 +166,19 @@ def test_a_scan_meets_its_local_map() -> None:
     assert [step.record.model for step in steps] == [None, 0, 0, 0, 1, 2]
     assert [edge.model for step in steps for edge in step.edges] == [0, 0, 0, 1, 2]
     assert sizes == [10, 20, 20, 20, 20]
+
+
+def test_a_map_is_thinned_by_its_own_voxels() -> None:
+    """Two scans of one wall: 0.2 m apart as each scan is, one point a metre in the map."""
+    backend = Plain(voxel_size=0.1)
+    wall = np.column_stack([0.2 * np.arange(35) + 0.05, np.full(35, 0.5), np.zeros(35)])
+    window = Window(5)
+    for scan in range(2):
+        window.push(
+            Node(scan, 0.0, np.eye(4), prepared=Prepared(wall, True, None, ((scan, None),)))
+        )
+    as_scans, thinned = (LocalMap(1, v).build(0, window, backend) for v in (None, 1.0))
+    assert len(as_scans.points) == 35
+    expected = [[np.mean(0.2 * np.arange(5 * i, 5 * i + 5) + 0.05), 0.5, 0.0] for i in range(7)]
+    np.testing.assert_allclose(np.sort(thinned.points, axis=0), expected)
+    assert as_scans.key != thinned.key, "registrations to one are not those to the other"

@@ -22,7 +22,10 @@ SLOW = {"hsm": "5 to 7 ms a registration: about 35 min of processor time for its
 """Made last, with what it costs (estimated from the first 300 scans of each log)."""
 QUICK_BACKENDS = ("open3d_p2p", "plicp", "small_gicp_gicp")
 QUICK_SCANS = 1200
-COMMON = ("dataset=carmen", "guess=odometry", "pictures=false", "overwrite=true")
+COMMON = (
+    *("dataset=carmen", "similarity=curvature_circular", "guess=odometry"),
+    *("pictures=false", "overwrite=true"),
+)
 """With wheel odometry between the two scans as the guess a registration depends on its pair alone,
 so that the tries of a backend share what they have in common."""
 

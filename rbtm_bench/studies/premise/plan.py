@@ -37,6 +37,7 @@ they choose and in nothing else, and share what they have in common."""
 
 OVERLAPS = (0.4, 0.6, 0.75, 0.9)
 """Thresholds that are tried with similarity=overlap."""
+CURVATURE = ("dataset=carmen", "similarity=curvature_circular")
 
 Tries = dict[str, tuple[str, tuple[float, ...]]]
 """Of every strategy the setting that it may choose, and its values."""
@@ -145,7 +146,7 @@ def corrected(folder: Path, max_scans: int | None) -> list[Place]:
             (0.3, 0.4, 0.5, 0.6),
         ),
         # they turn by up to 22 deg at a time; these lags were chosen on these very logs
-        ("dataset=carmen", "similarity.max_lag_deg=30", "similarity.lag_phase=consistent"),
+        (*CURVATURE, "similarity.max_lag_deg=30", "similarity.lag_phase=consistent"),
     )  # fmt: skip
     places = []
     for name, title in CORRECTED.items():
@@ -164,7 +165,7 @@ def raw(folder: Path, max_scans: int | None) -> list[Place]:
             (0.2, 0.3, 0.5, 1.0), (0.2, 0.3, 0.5, 1.0), (2, 5, 10, 20), (3, 6, 11, 21),
             (0.6, 0.7, 0.8, 0.9),
         ),
-        ("dataset=carmen",),
+        CURVATURE,
         truth=False,
     )  # fmt: skip
     places = []
@@ -240,7 +241,7 @@ def _of_strategy(place: Place, backend: str, strategy: str, window: str) -> Iter
 def _compose(place: Place, *words: str) -> list[Point]:
     kind = place.kind.words
     if "similarity=overlap" in words:  # the kind's settings are of the curvature
-        kind = tuple(word for word in kind if not word.startswith("similarity."))
+        kind = tuple(word for word in kind if not word.startswith("similarity"))
     return make_points([*kind, *place.words, *COMMON, *words])[0]
 
 
