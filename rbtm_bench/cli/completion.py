@@ -17,6 +17,7 @@ COMMANDS = (
     "plot",
     "gate",
     "export",
+    "new",
     "similarity",
     "calibrate",
     "data",

@@ -29,7 +29,7 @@ from rbtm_bench.core.wording import suggestion
 from rbtm_bench.datasets.published import PUBLISHED, path_of
 from rbtm_bench.runs.declared import FOR_PAIRS, GROUPS, PLUGIN_GROUPS, SHARED, kind_of
 from rbtm_bench.runs.identity import Identity, idle_settings, special_settings
-from rbtm_bench.runs.plugins import check_node, check_value, is_system
+from rbtm_bench.runs.plugins import check_node, check_value, is_system, make_importable
 
 OF_RESOLVER = "ConfigError raised while resolving interpolation: "
 """What OmegaConf puts before our own words."""
@@ -153,6 +153,7 @@ class composing:  # noqa: N801 (used as a context manager)
         for folder in extra_dirs:
             if not folder.is_dir():
                 raise ConfigError(f"--config-dir {folder}: no such folder")
+        make_importable(extra_dirs)
         self.words = []
         if extra_dirs:
             places = ",".join(f"'file://{folder.resolve()}'" for folder in extra_dirs)

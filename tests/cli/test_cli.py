@@ -24,6 +24,7 @@ COMMANDS = (
     "plot",
     "gate",
     "export",
+    "new",
     "list",
     "doctor",
 )
