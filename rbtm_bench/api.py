@@ -30,16 +30,8 @@ from rbtm_bench.odometry.result import Odometry
 from rbtm_bench.odometry.system import system_odometry
 from rbtm_bench.pairs.shared import SharedDataset
 from rbtm_bench.report import frame, screen
-from rbtm_bench.runs import evaluation, experiment, first_part, replicate, stored
+from rbtm_bench.runs import evaluation, experiment, first_part, keywords, replicate, stored
 from rbtm_bench.runs.claim import default_folder
-from rbtm_bench.runs.keywords import (
-    OF_DATA,
-    OF_METHOD,
-    OF_PAIR,
-    defaults_for,
-    objects_and_names,
-    of_values,
-)
 from rbtm_bench.runs.plugins import is_system
 from rbtm_bench.runs.settings import Settings, compose_settings
 from rbtm_bench.runs.words import as_typed, data_words
@@ -100,8 +92,10 @@ def register(
     scans = [scan_of(source, 0), scan_of(target, 1)]
     if scans[0].planar is not scans[1].planar:
         raise DataError("source and target: one is planar and the other is not")
-    given, named = objects_and_names({"backend": backend, **settings}, OF_PAIR, "register")
-    composed = _composed([*defaults_for(scans[0]), *of_values(named)], config_dir)
+    given, named = keywords.objects_and_names(
+        {"backend": backend, **settings}, keywords.OF_PAIR, "register"
+    )
+    composed = _composed([*keywords.defaults_for(scans[0]), *keywords.of_values(named)], config_dir)
     config = composed.config
     if isinstance(given.get("backend"), System) or ("backend" not in given and is_system(config)):
         raise ConfigError(f"backend={backend} is a whole odometry: expected one that takes pairs")
@@ -160,11 +154,11 @@ def odometry(
     if first is None:
         raise DataError("no scans: expected at least one")
     asked = {"backend": backend, "selector": selector, **settings}
-    given, named = objects_and_names(asked, OF_METHOD, "odometry")
-    words = defaults_for(first)
+    given, named = keywords.objects_and_names(asked, keywords.OF_METHOD, "odometry")
+    words = keywords.defaults_for(first)
     if isinstance(scans, Dataset):
         words = _opened.get(scans, words)
-    composed = _composed([*words, *of_values(named)], config_dir)
+    composed = _composed([*words, *keywords.of_values(named)], config_dir)
     config, dataset = composed.config, scans if isinstance(scans, Dataset) else FirstScan(first)
     experiment.check_dimensions(composed, first.planar, given.get("backend"))
     experiment.check_fit(composed, dataset)
@@ -208,10 +202,10 @@ def open_dataset(
     ConfigError
         For a wrong setting.
     """
-    given, named = objects_and_names(settings, OF_DATA, "open_dataset")
+    given, named = keywords.objects_and_names(settings, keywords.OF_DATA, "open_dataset")
     if given:
         raise ConfigError("dataset: expected a name; what is a Dataset already is open")
-    words = _with_path(path, of_values(named))
+    words = _with_path(path, keywords.of_values(named))
     config = _composed(words, config_dir).config
     dataset = replicate.copy_of(experiment.build(config["dataset"]), config)
     summary.tell(dataset)
@@ -246,7 +240,7 @@ def run(
     RunError
         If the run fails, with its reason.
     """
-    words = _with_path(path, of_values(settings))
+    words = _with_path(path, keywords.of_values(settings))
     composed = _composed(words, config_dir)
     out = Path(composed.config["out"] or default_folder("runs", composed.choices))
     drive.run_alone(composed, out, argv=["rbtm-bench", "run", *words, *_as_options(config_dir)])
@@ -287,7 +281,7 @@ def compare(
     ConfigError, DataError
         Before anything is written, for a wrong setting or bad data.
     """
-    words = _with_path(path, of_values(settings, several=True))
+    words = _with_path(path, keywords.of_values(settings, several=True))
     workers = drive.default_jobs() if jobs is None else jobs
     if workers < 1:
         raise ConfigError(f"jobs={jobs}: expected at least 1")
@@ -357,8 +351,8 @@ def evaluate(
     DataError
         If nothing belongs together, or the data set knows no truth.
     """
-    _, named = objects_and_names(settings, ("metrics",), "evaluate")
-    metrics = experiment.build_metrics(_composed(of_values(named), ()).config)
+    _, named = keywords.objects_and_names(settings, ("metrics",), "evaluate")
+    metrics = experiment.build_metrics(_composed(keywords.of_values(named), ()).config)
     poses = _trajectory(estimate, "estimate")
     if isinstance(reference, Dataset):
         truth, first = evaluation.truth_of(reference), reference.scored_from
