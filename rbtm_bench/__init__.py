@@ -1,4 +1,8 @@
-"""rbtm_bench: compare registration backends and model-scan selection strategies."""
+"""rbtm_bench: compare registration backends and model-scan selection strategies.
+
+``import rbtm_bench as rb`` loads nothing but this file; what ``__all__`` names is imported when it
+is first asked for (docs/python.md).
+"""
 
 import importlib
 import importlib.machinery
@@ -6,8 +10,66 @@ import sys
 import warnings
 from collections.abc import Sequence
 from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rbtm_bench.api import compare, evaluate, load_runs, odometry, open_dataset, register, run
+    from rbtm_bench.backends.base import Backend
+    from rbtm_bench.check.base import Check
+    from rbtm_bench.core.trajectory import Trajectory
+    from rbtm_bench.core.types import Scan
+    from rbtm_bench.datasets.base import Dataset
+    from rbtm_bench.guess.base import Guess
+    from rbtm_bench.selection.base import Selector
+    from rbtm_bench.similarity.base import Similarity
+    from rbtm_bench.target.base import Target
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "Backend",
+    "Check",
+    "Dataset",
+    "Guess",
+    "Scan",
+    "Selector",
+    "Similarity",
+    "Target",
+    "Trajectory",
+    "compare",
+    "evaluate",
+    "load_runs",
+    "odometry",
+    "open_dataset",
+    "register",
+    "run",
+]
+
+HOMES = {
+    "Scan": "core.types",
+    "Trajectory": "core.trajectory",
+    "Backend": "backends.base",
+    "Selector": "selection.base",
+    "Similarity": "similarity.base",
+    "Target": "target.base",
+    "Dataset": "datasets.base",
+    "Guess": "guess.base",
+    "Check": "check.base",
+}
+"""Where the classes of ``__all__`` live; its functions are ``api``'s."""
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    thing = getattr(importlib.import_module(f"{__name__}.{HOMES.get(name, 'api')}"), name)
+    # the room odometry has bound its own name by now, and is called instead
+    return globals().setdefault(name, thing)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
 
 MOVED = {
     f"rbtm_bench.{name}": f"rbtm_bench.core.{name}"

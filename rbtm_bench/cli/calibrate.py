@@ -212,7 +212,7 @@ def _write_experiment(out: Path, asked: Asked, points: Sequence[Point], path: Pa
 
 
 def _folder(option: str | None, config: dict[str, Any]) -> Path:
-    from rbtm_bench.cli.runs import default_folder
+    from rbtm_bench.runs.claim import default_folder
 
     if option and config["out"]:
         raise ConfigError("--out and out=: give one of them")
@@ -309,6 +309,6 @@ def overrides_of(command: str, rest: list[str]) -> list[str]:
             raise ConfigError(f"{word}: no such option; see rbtm-bench {command} --help")
         if word.find("=") < 1 and not word.startswith("~"):
             raise ConfigError(f"{word}: expected key=value")
-    from rbtm_bench.cli.words import as_typed
+    from rbtm_bench.runs.words import as_typed
 
     return as_typed(rest)

@@ -25,6 +25,9 @@ commands
   show      what is behind a row: settings, command, data:  rbtm-bench show results/compare/NAME
   diff      what differs between two runs:  rbtm-bench diff RUN RUN
   plot      runs as figures:     rbtm-bench plot results/compare
+  gate      may a change pass?   rbtm-bench gate results/new --baseline results/main
+  export    a run as csv, parquet or tum:  rbtm-bench export results/compare/NAME --to csv
+  new       a plug-in of your own, begun:  rbtm-bench new selector NAME
   similarity scores of all pairs:  rbtm-bench similarity dataset.environment=l_turn --matrix
   calibrate   error against similarity, the threshold to use:  rbtm-bench calibrate --success 0.95
   list      every plug-in, its parameters, and whether its library is installed
@@ -106,6 +109,14 @@ def dispatch(words: list[str]) -> int:
         from rbtm_bench.cli import inspect
 
         return {"show": inspect.show, "diff": inspect.diff}[command](words)
+    if command in ("gate", "export"):
+        from rbtm_bench.cli import publish
+
+        return {"gate": publish.gate, "export": publish.export}[command](words)
+    if command == "new":
+        from rbtm_bench.cli.new import new
+
+        return new(words)
     if command == "similarity":
         from rbtm_bench.cli import similarity
 

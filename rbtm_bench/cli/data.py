@@ -27,7 +27,7 @@ def data(words: list[str]) -> int:
     unknown = [word for word in rest if word.startswith("-")]
     if unknown:
         raise ConfigError(f"{unknown[0]}: no such option; see rbtm-bench data --help")
-    from rbtm_bench.cli.words import as_typed, with_data
+    from rbtm_bench.runs.words import as_typed, with_data
 
     if not rest:
         raise ConfigError("data: expected a path, or dataset=")

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rbtm_bench.core.errors import ConfigError, one_line
+from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.report import frame
 from rbtm_bench.report.frame import MethodRuns
 from rbtm_bench.report.replicates import SHIFTED
@@ -125,12 +125,7 @@ def _arranged(rows: pd.DataFrame, options: argparse.Namespace) -> pd.DataFrame:
     from rbtm_bench.report import best_settings
 
     if options.filter:
-        try:
-            rows = rows.query(options.filter, engine="python")
-        except Exception as error:  # pandas raises whatever the expression does
-            raise ConfigError(f"--filter {options.filter}: {one_line(error)}") from None
-        if rows.empty:
-            raise ConfigError(f"--filter {options.filter}: no row is left")
+        rows = frame.filtered(rows, options.filter)
     ranked = options.format == "text" and not options.columns and "data" in rows
     rows = best_settings.ranked(rows) if ranked else rows
     if options.sort:

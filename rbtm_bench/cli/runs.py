@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import datetime
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from rbtm_bench.core import process
-from rbtm_bench.core.errors import ConfigError, RunError
+from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.engine.progress import bar
-
-if TYPE_CHECKING:
-    from rbtm_bench.runs.settings import Settings
 
 RUN_HELP = """\
 One experiment: a data set, a backend, a selector; a folder of results and a summary.
@@ -76,7 +72,7 @@ such as hydra/launcher=joblib."""
 
 def as_words(command: str, words: list[str]) -> list[str]:
     """The words for Hydra: a path in front as the settings that read it, text quoted."""
-    from rbtm_bench.cli.words import as_typed, with_data
+    from rbtm_bench.runs.words import as_typed, with_data
 
     first = words[0] if words else "-"
     is_path = os.path.exists(first)
@@ -128,8 +124,10 @@ def run(words: list[str]) -> int:
     options, overrides = parse("run", RUN_HELP, words)
     pin_unless_lifted(overrides)  # first of all: numpy sizes its thread pool when it is imported
     from rbtm_bench.datasets.summary import tell
+    from rbtm_bench.engine import drive
     from rbtm_bench.report import screen
     from rbtm_bench.runs import experiment
+    from rbtm_bench.runs.claim import default_folder
     from rbtm_bench.runs.plugins import foreign_modules
     from rbtm_bench.runs.settings import compose_settings
 
@@ -141,26 +139,9 @@ def run(words: list[str]) -> int:
         if settings.config["time_limit"] is None and settings.config["memory_limit"] is None:
             experiment.run(settings, out, progress.update_to, opened=tell)
         else:
-            _run_supervised(settings, out, progress.update_to)
+            drive.run_alone(settings, out, progress.update_to)
     print(screen.of_run(out))
     return 0
-
-
-def _run_supervised(settings: Settings, out: Path, progress: Any) -> None:
-    """A run that a limit of time or memory may end. Raises ``RunError`` if it fails."""
-    from rbtm_bench.engine import one_run
-    from rbtm_bench.engine.crew import Supervisor
-    from rbtm_bench.runs.claim import refuse_existing
-    from rbtm_bench.runs.grid import Point
-
-    refuse_existing(out, bool(settings.config["overwrite"]))
-    with Supervisor() as supervisor:
-        points = [Point("run", settings)]
-        serves = one_run.foreign_to(points)
-        supervisor.call(one_run.check_data, points, pin=settings.config["pin"], serves=serves)
-        record = supervisor.run(out.name, settings, out, progress)
-    if record["status"] != "done":
-        raise RunError(str(record["reason"]))
 
 
 def pin_unless_lifted(overrides: list[str]) -> None:
@@ -177,6 +158,7 @@ def compare(words: list[str]) -> int:
     from rbtm_bench.cli import session
     from rbtm_bench.engine import drive
     from rbtm_bench.engine.comparison import Comparison
+    from rbtm_bench.runs.claim import default_folder
 
     jobs = options.jobs if options.jobs is not None else drive.default_jobs()
     if jobs < 1:
@@ -192,6 +174,7 @@ def sweep(words: list[str]) -> int:
     options, overrides = parse("sweep", SWEEP_HELP, words)
     from rbtm_bench.cli import session
     from rbtm_bench.engine.hydra_sweep import SweepPlan
+    from rbtm_bench.runs.claim import default_folder
 
     named = [] if options.resume else [word for word in overrides if word.startswith("out=")]
     kept = [word for word in overrides if word not in named]
@@ -225,12 +208,3 @@ def hydra_itself(words: list[str]) -> int:
 
     hydra_main(words, task)
     return 0
-
-
-def default_folder(kind: str, choices: dict[str, str] | None = None) -> str:
-    """results/<kind>/<time>[-<data set>-<backend>-<selector>], a new one every time."""
-    from rbtm_bench.runs.claim import new_folder
-
-    stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    names = [choices[group] for group in ("dataset", "backend", "selector")] if choices else []
-    return str(new_folder("-".join([f"results/{kind}/{stamp}", *names])))

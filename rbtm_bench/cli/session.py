@@ -14,7 +14,6 @@ from rbtm_bench.engine import sweep_folder
 from rbtm_bench.engine.driver import Grid, drive
 from rbtm_bench.engine.sweep_folder import Asked, Kind
 from rbtm_bench.report import screen
-from rbtm_bench.runs.settings import Settings
 
 
 @contextlib.contextmanager
@@ -49,7 +48,6 @@ def carry_out(grid: Grid, asked: Asked, out: Path, resumed: bool) -> int:
     if ended.broken:
         print(f"rbtm-bench: the launcher gave up: {ended.broken}", file=sys.stderr)
         print(f"go on with: {sweep_folder.resume_command(asked.kind, out)}", file=sys.stderr)
-    merge_pairs(grid.settings[0], out)
     folders, failed, left = ended.folders, ended.failed, ended.left
     runs = [folder for folder in folders if (folder / "run.json").is_file()]
     code = 0
@@ -68,12 +66,3 @@ def carry_out(grid: Grid, asked: Asked, out: Path, resumed: bool) -> int:
     if failed:  # the summary lists them with their reasons
         print(f"rbtm-bench: {len(failed)} of {len(folders)} runs failed", file=sys.stderr)
     return 1 if failed or left or ended.broken or not runs else code
-
-
-def merge_pairs(settings: Settings, out: Path) -> None:
-    """Fold the stores that workers wrote one by one (pairs.store=per_worker) into one."""
-    folder = Path(settings.config["pairs"]["folder"] or out / "pairs")
-    if list(folder.glob("pairs-*")):
-        from rbtm_bench.pairs.store import merge
-
-        merge(folder)

@@ -42,7 +42,8 @@ A similarity that compares scans under a guess gets odometry between the two, el
 def similarity(words: list[str]) -> int:
     """``rbtm-bench similarity``."""
     options, overrides = _parse(words)
-    from rbtm_bench.cli.runs import default_folder, pin_unless_lifted
+    from rbtm_bench.cli.runs import pin_unless_lifted
+    from rbtm_bench.runs.claim import default_folder
 
     pin_unless_lifted(overrides)  # numpy sizes its thread pool when it is imported
     from rbtm_bench.runs.assembly import build

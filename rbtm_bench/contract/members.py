@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from rbtm_bench.core import wording
-from rbtm_bench.core.errors import ConfigError, RbtmBenchError
+from rbtm_bench.core.errors import ConfigError, RbtmBenchError, one_line
 from rbtm_bench.runs import declared, plugins, settings
 from rbtm_bench.runs.assembly import build
 
@@ -85,6 +86,23 @@ class Catalogue:
             return build(node)
         except RbtmBenchError as error:
             pytest.fail(f"{member} cannot be built: {error}", pytrace=False)
+
+    def check_libraries(self) -> None:
+        """Raise ``ConfigError``, one line instead of a failure a test, if a plug-in that is asked
+        for by name cannot be loaded, or what it ``requires`` is there but broken."""
+        for member in self.only:
+            cls = plugins.locate(str(member), str(self.node(member)["_target_"]))
+            for package in getattr(cls, "requires", ()):
+                try:
+                    importlib.import_module(package)
+                except KeyboardInterrupt:
+                    raise
+                except BaseException as error:  # a library may leave by sys.exit
+                    why = f"{type(error).__name__}: {one_line(error)}"
+                    raise ConfigError(
+                        f"{member}: the library itself is broken, not the plug-in: "
+                        f"import {package}: {why}"
+                    ) from error
 
     def _is_system(self, member: Member) -> bool:
         try:

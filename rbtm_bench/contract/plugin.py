@@ -45,13 +45,15 @@ def pytest_configure(config: pytest.Config) -> None:
         pin_to_free_core()
     folder_of_call = config.invocation_params.dir
     try:
-        config.stash[CATALOGUE] = Catalogue.of_options(
+        catalogue = Catalogue.of_options(
             [folder_of_call / str(folder) for folder in config.getoption("config_dir", default=[])],
             config.getoption("plugin", default=[]),
             config.getoption("override", default=[]),
         )
+        catalogue.check_libraries()
     except ConfigError as error:
         raise pytest.UsageError(str(error)) from error
+    config.stash[CATALOGUE] = catalogue
 
 
 def hands_out_work(config: pytest.Config) -> bool:

@@ -12,7 +12,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from rbtm_bench.core.errors import RunError
 from rbtm_bench.engine.crew import Supervisor
+from rbtm_bench.runs.claim import refuse_existing
 from rbtm_bench.runs.grid import Point
 from rbtm_bench.runs.plugins import foreign_modules
 from rbtm_bench.runs.settings import Settings
@@ -92,6 +94,30 @@ def run_points(
                 else:
                     done(name, record)
     return left
+
+
+def run_alone(
+    settings: Settings,
+    out: Path,
+    progress: Callable[[int, int], None] | None = None,
+    argv: Sequence[str] | None = None,
+) -> dict[str, Any]:
+    """One run in a child of its own, which a limit of time or memory may end; its ``run.json``.
+
+    ``argv``: the command that it notes down. Raises ``RunError`` if it fails, ``ConfigError`` or
+    ``DataError`` before anything is written if settings or data are at fault.
+    """
+    from rbtm_bench.engine import one_run
+
+    refuse_existing(out, bool(settings.config["overwrite"]))
+    with Supervisor(argv=argv) as supervisor:
+        points = [Point("run", settings)]
+        serves = one_run.foreign_to(points)
+        supervisor.call(one_run.check_data, points, pin=settings.config["pin"], serves=serves)
+        record = supervisor.run(out.name, settings, out, progress)
+    if record["status"] != "done":
+        raise RunError(str(record["reason"]))
+    return record
 
 
 @contextlib.contextmanager

@@ -123,6 +123,7 @@ def drive(grid: Grid, asked: Asked, out: Path, resumed: bool) -> Ended:
             with run_bar(plan) as bar:
                 told = Told(out, bar)
                 broken = grid.launch(kept, asked, crew, told)
+    _merge_pairs(grid.settings[0], out)
     folders = grid.folders(out)
     begun = {one.name for one in folders if (one / "run.json").is_file()} | told.done.keys()
     failed = [n for n in begun if not told.done.get(n, sweep_folder.status(out / n) == "done")]
@@ -130,6 +131,15 @@ def drive(grid: Grid, asked: Asked, out: Path, resumed: bool) -> Ended:
         label for name, label in (grid.labels or {}).items() if name not in begun | told.idle.keys()
     ]
     return Ended(folders, failed, left, len(kept), broken)
+
+
+def _merge_pairs(settings: Settings, out: Path) -> None:
+    """Fold the stores that workers wrote one by one (pairs.store=per_worker) into one."""
+    folder = Path(settings.config["pairs"]["folder"] or out / "pairs")
+    if list(folder.glob("pairs-*")):
+        from rbtm_bench.pairs.store import merge
+
+        merge(folder)
 
 
 def _mean_seconds(out: Path, names: set[str]) -> float | None:

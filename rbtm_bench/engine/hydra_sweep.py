@@ -24,6 +24,7 @@ from rbtm_bench.engine.sweep_folder import Asked
 from rbtm_bench.runs import controls
 from rbtm_bench.runs.experiment import reason
 from rbtm_bench.runs.grid import Point, one_way_to_run, values_beside_first
+from rbtm_bench.runs.plugins import make_importable
 from rbtm_bench.runs.settings import (
     Settings,
     compose_settings,
@@ -257,6 +258,7 @@ def run_job(cfg: DictConfig) -> None:
     hydra_cfg = HydraConfig.get()
     folder, out = Path(hydra_cfg.sweep.dir), Path(hydra_cfg.runtime.output_dir)
     asked = Asked.read(folder)
+    make_importable(map(Path, asked.config_dirs))  # a launcher's process may be a new one
     if "joblib" in str(hydra_cfg.launcher.get("_target_")).lower():
         _end_with(asked.pid)
     with sweep_folder.at_work(folder, alone=False):

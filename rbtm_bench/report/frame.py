@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rbtm_bench.core.columns import COLUMNS, MAIN
+from rbtm_bench.core.errors import ConfigError, one_line
 from rbtm_bench.report.replicates import counted, number_of, spread_columns
 from rbtm_bench.runs.identity import differing
 from rbtm_bench.runs.stored import Run, is_number
@@ -143,6 +144,18 @@ def frame(runs: Sequence[Run]) -> pd.DataFrame:
 
     words, data = labels(runs), data_labels(runs)
     return _last(pd.DataFrame([row(run, words[run.path], data[run.path]) for run in runs]))
+
+
+def filtered(table: pd.DataFrame, expression: str) -> pd.DataFrame:
+    """The rows that pandas' query keeps. Raises ``ConfigError`` if it cannot be answered, or keeps
+    none."""
+    try:
+        kept = table.query(expression, engine="python")
+    except Exception as error:  # pandas raises whatever the expression does
+        raise ConfigError(f"--filter {expression}: {one_line(error)}") from None
+    if kept.empty:
+        raise ConfigError(f"--filter {expression}: no row is left")
+    return kept
 
 
 def _last(table: pd.DataFrame) -> pd.DataFrame:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 from rbtm_bench.backends.base import Backend
@@ -71,10 +72,13 @@ def instantiate(settings: Settings) -> Parts:
     return Parts(dataset, method, build_metrics(config), work, known, loops)
 
 
-def method_of(config: Mapping[str, Any]) -> Method:
-    """The method of resolved settings, all of its plug-ins new."""
-    plugins = {g: build(config[g]) for g in PLUGIN_GROUPS if g not in APART}
-    return Method(backend=build_backend(config), **plugins, **loop_settings(config))
+def method_of(config: Mapping[str, Any], given: Mapping[str, Any] = MappingProxyType({})) -> Method:
+    """The method of resolved settings, all of its plug-ins new but for those that are ``given`` by
+    group."""
+    groups = (group for group in PLUGIN_GROUPS if group not in APART)
+    plugins = {g: given[g] if g in given else build(config[g]) for g in groups}
+    backend = build_backend(config, given.get("backend"))
+    return Method(backend=backend, **plugins, **loop_settings(config))
 
 
 def loop_settings(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -87,9 +91,10 @@ def loop_settings(config: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def build_backend(config: Mapping[str, Any]) -> Backend:
-    """The backend of resolved settings, behind their search."""
-    backend: Backend = build(config["search"]).before(build(config["backend"]))
+def build_backend(config: Mapping[str, Any], given: Backend | None = None) -> Backend:
+    """The backend of resolved settings, or the one that is ``given``, behind their search."""
+    plain = build(config["backend"]) if given is None else given
+    backend: Backend = build(config["search"]).before(plain)
     return backend
 
 
@@ -111,15 +116,7 @@ def check_fit(settings: Settings, dataset: Dataset) -> None:
     Loads no backend library: only a backend's class is looked at.
     """
     config = settings.config
-    needed = "2d" if dataset.planar else "3d"
-    for group in REGISTERING[:1] if is_system(config) else REGISTERING:
-        plugin = locate(group, config[group]["_target_"])
-        dimensions = getattr(plugin, "dimensions", ("2d", "3d"))  # a factory function has none
-        if needed not in dimensions:
-            raise ConfigError(
-                f"{group}={settings.choices.get(group)} is for {', '.join(dimensions)} only; "
-                f"this data set is {needed}"
-            )
+    check_dimensions(settings, dataset.planar)
     if is_system(config):
         return
     guess = build(config["guess"])
@@ -130,6 +127,22 @@ def check_fit(settings: Settings, dataset: Dataset) -> None:
             f"{settings.choices.get('guess')} does not measure: expected odometry or chain"
         )
     _check_selector(settings, dataset)
+
+
+def check_dimensions(settings: Settings, planar: bool, backend: Any = None) -> None:
+    """Raise ``ConfigError`` if what registers is not for ``planar`` scans, or for others; a
+    ``backend`` that is an object stands for the one of the settings."""
+    config = settings.config
+    needed = "2d" if planar else "3d"
+    for group in REGISTERING[:1] if is_system(config) else REGISTERING:
+        given = backend if group == "backend" else None
+        plugin = given or locate(group, config[group]["_target_"])
+        name = f"={settings.choices.get(group)}" if given is None else ""
+        dimensions = getattr(plugin, "dimensions", ("2d", "3d"))  # a factory function has none
+        if needed not in dimensions:
+            raise ConfigError(
+                f"{group}{name} is for {', '.join(dimensions)} only; this data set is {needed}"
+            )
 
 
 def _check_selector(settings: Settings, dataset: Dataset) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import datetime
 import fcntl
 import os
 from collections.abc import Iterator
@@ -64,6 +65,13 @@ def _opened(out: Path) -> int | None:
             if os.path.samestat(os.fstat(fd), os.stat(out)):
                 return fd
         os.close(fd)
+
+
+def default_folder(kind: str, choices: dict[str, str] | None = None) -> str:
+    """results/<kind>/<time>[-<data set>-<backend>-<selector>], a new one every time."""
+    stamp = datetime.datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    names = [choices[group] for group in ("dataset", "backend", "selector")] if choices else []
+    return str(new_folder("-".join([f"results/{kind}/{stamp}", *names])))
 
 
 def new_folder(stem: str) -> Path:

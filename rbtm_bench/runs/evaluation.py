@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from rbtm_bench.core.columns import REFERENCES
+from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.files import write_json
 from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.loop_columns import LOOPED
 from rbtm_bench.core.trajectory import Trajectory
+from rbtm_bench.datasets.association import nearest
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.datasets.perturbed import Since, measured
 from rbtm_bench.metrics.base import Metric, evaluated
@@ -53,6 +55,33 @@ def evaluate(
             own = {k: v for k, v in again if not k.endswith(tuple(REFERENCES))}
             values |= {f"{LOOPED}{key}": value for key, value in own.items()}
     return values, errors
+
+
+def truth_of(dataset: Dataset) -> Trajectory | None:
+    """The true poses of a data set's scans, NaN where one is not known; None without any.
+    Raises ``DataError`` for a data set that knows no relations either."""
+    if not dataset.has_ground_truth:
+        if dataset.relations is None:
+            raise DataError("the data set has neither a ground truth nor relations")
+        return None
+    unknown = np.full((4, 4), np.nan)
+    scans = [(s.stamp, unknown if s.ground_truth is None else s.ground_truth) for s in dataset]
+    return Trajectory(np.array([stamp for stamp, _ in scans]), np.stack([T for _, T in scans]))
+
+
+def by_time(
+    estimate: Trajectory, truth: Trajectory, tolerance_s: float
+) -> tuple[Trajectory, Trajectory]:
+    """The poses of both that belong together, at most ``tolerance_s`` s apart. Raises
+    ``DataError`` if none do."""
+    at = nearest(truth.stamps, estimate.stamps, tolerance_s)
+    near = at >= 0
+    if not near.any():
+        raise DataError(f"no two poses are within {tolerance_s:g} s of each other")
+    return (
+        Trajectory(estimate.stamps[near], estimate.T_world_scan[near]),
+        Trajectory(truth.stamps[at[near]], truth.T_world_scan[at[near]]),
+    )
 
 
 def write_metrics(

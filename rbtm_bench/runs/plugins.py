@@ -8,13 +8,22 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
+import sys
 import typing
+from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
 from rbtm_bench.core.errors import ConfigError, one_line
 from rbtm_bench.core.wording import shown, suggestion
+
+
+def make_importable(folders: Iterable[Path]) -> None:
+    """Put folders of plug-ins at the end of the import path, where they cover nothing: what lies in
+    DIR of ``--config-dir DIR`` can be a ``_target_``, in this process and those that it starts."""
+    sys.path += [str(one) for f in folders if str(one := f.resolve()) not in sys.path]
 
 
 def locate(name: str, target: str) -> Any:

@@ -29,7 +29,7 @@ from rbtm_bench.core.wording import suggestion
 from rbtm_bench.datasets.published import PUBLISHED, path_of
 from rbtm_bench.runs.declared import FOR_PAIRS, GROUPS, PLUGIN_GROUPS, SHARED, kind_of
 from rbtm_bench.runs.identity import Identity, idle_settings, special_settings
-from rbtm_bench.runs.plugins import check_node, check_value, is_system
+from rbtm_bench.runs.plugins import check_node, check_value, is_system, make_importable
 
 OF_RESOLVER = "ConfigError raised while resolving interpolation: "
 """What OmegaConf puts before our own words."""
@@ -119,14 +119,22 @@ def _unknown_key(error: Exception, overrides: list[str]) -> str | None:
     key = unknown.group(1)
     others = [word for word in overrides if word.split("=")[0].strip() != key]
     try:
-        node: Any = compose("config", overrides=others)
+        whole = node = compose("config", overrides=others)
     except Exception:  # something else is wrong as well
         return None
     *parents, last = key.split(".")
     for parent in parents:
         node = node.get(parent) if isinstance(node, DictConfig) else None
     known = [str(k) for k in node if k != "_target_"] if isinstance(node, DictConfig) else []
+    owners = [str(k) for k in whole if not parents and last in _keys(whole, k)]
+    if owners:
+        return f"{key}: no such setting. Did you mean {' or '.join(f'{k}.{key}' for k in owners)}?"
     return f"{key}: no such setting.{suggestion(last, known)}"
+
+
+def _keys(config: DictConfig, name: Any) -> list[Any]:
+    node = config._get_node(name)  # ??? is no value to ask for
+    return list(node) if isinstance(node, DictConfig) else []
 
 
 def members(group: str, extra_dirs: tuple[Path, ...] = ()) -> list[str]:
@@ -145,6 +153,7 @@ class composing:  # noqa: N801 (used as a context manager)
         for folder in extra_dirs:
             if not folder.is_dir():
                 raise ConfigError(f"--config-dir {folder}: no such folder")
+        make_importable(extra_dirs)
         self.words = []
         if extra_dirs:
             places = ",".join(f"'file://{folder.resolve()}'" for folder in extra_dirs)

@@ -14,7 +14,20 @@ import pytest
 from rbtm_bench import __version__
 from rbtm_bench.cli.commands import HELP, main
 
-COMMANDS = ("run", "compare", "sweep", "table", "show", "diff", "plot", "list", "doctor")
+COMMANDS = (
+    "run",
+    "compare",
+    "sweep",
+    "table",
+    "show",
+    "diff",
+    "plot",
+    "gate",
+    "export",
+    "new",
+    "list",
+    "doctor",
+)
 HEAVY = ("numpy", "scipy", "hydra", "omegaconf", "pydantic", "pandas", "matplotlib", "open3d")
 
 

@@ -35,6 +35,7 @@ ELSEWHERE = {
     "python scripts/benchmarks/cases.py": "datasets/test_cases.py",
     "python scripts/benchmarks/placebo.py": "report/test_placebo.py",
     "python scripts/benchmarks/nothing_matches.py": "odometry/test_nothing_matches.py",
+    "python scripts/make_python_page.py": "cli/test_python_page.py",
     "python scripts/mutants.py": "end_to_end/test_mutants.py",
     "python -m rbtm_bench.contract": "end_to_end/test_plugins.py",
     "rbtm-bench compare backend=open3d_p2p,my_icp": "end_to_end/test_plugins.py",
@@ -135,6 +136,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, data_dir: Path) -> Path:
             words = (f"seed={seed}", f"selector.window={window}")
             run(root / "results/sweep", f"{seed}-{window}", "paper", "rbtm", "none", *words)
     (root / "results" / "s1").symlink_to(root / "results" / "sweep")
+    (root / "results" / "main").symlink_to(root / "results" / "compare")
     return root
 
 

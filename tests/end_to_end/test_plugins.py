@@ -58,8 +58,7 @@ def call(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
     """Run one of the page's commands in the author's folder."""
     words = shlex.split(command)
     modules = {"rbtm-bench": ["-m", "rbtm_bench"], "pytest": ["-m", "pytest"], "python": []}
-    env = {**os.environ, "PYTHONPATH": str(folder)}
-    env.pop("PYTEST_ADDOPTS", None)
+    env = {key: value for key, value in os.environ.items() if key != "PYTEST_ADDOPTS"}
     return subprocess.run(
         [sys.executable, *modules[words[0]], *words[1:]],
         cwd=folder,
@@ -76,13 +75,13 @@ def author(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("author")
     for group in ("backend", "selector", "similarity"):
         (folder / "my_configs" / group).mkdir(parents=True)
-    (folder / "my_icp.py").write_text(block("python"))
+    (folder / "my_configs/my_icp.py").write_text(block("python"))
     (folder / "my_configs/backend/my_icp.yaml").write_text(block("yaml"))
-    (folder / "my_selector.py").write_text(SELECTOR)
+    (folder / "my_configs/my_selector.py").write_text(SELECTOR)
     (folder / "my_configs/selector/second.yaml").write_text(
         "_target_: my_selector.SecondNewest\nreach: 2\n"
     )
-    (folder / "my_similarity.py").write_text(SIMILARITY)
+    (folder / "my_configs/my_similarity.py").write_text(SIMILARITY)
     (folder / "my_configs/similarity/mean_range.yaml").write_text(
         "_target_: my_similarity.MeanRange\n"
     )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+from collections.abc import Collection
 
 TEXT = frozenset(
     {
@@ -45,10 +46,10 @@ def _quoted(word: str) -> str:
         return word
     if _HYDRA.match(value.lstrip()) or value == "null":
         return word
-    return f"{key}={','.join(_text(part) for part in value.split(','))}"
+    return f"{key}={','.join(as_text(part) for part in value.split(','))}"
 
 
-def _text(value: str) -> str:
+def as_text(value: str) -> str:
     """One value, home folder put in, as Hydra reads it as text."""
     if value.startswith("~"):
         value = os.path.expanduser(value)
@@ -63,10 +64,18 @@ def with_data(words: list[str]) -> list[str]:
 
     Raises ``DataError`` for data that are not recognised.
     """
+    keys = [word.partition("=")[0] for word in words[1:]]
+    return [*data_words(words[0], keys), *words[1:]]
+
+
+def data_words(path: str, keys: Collection[str]) -> list[str]:
+    """The settings that read the data at ``path``, but for those whose ``keys`` are given anyway.
+
+    Raises ``DataError`` for data that are not recognised.
+    """
     from rbtm_bench.datasets.recognise import recognise
 
-    keys = tuple(word.partition("=")[0] for word in words[1:])
-    found = recognise(words[0], keys)
+    found = recognise(path, tuple(keys))
     if "dataset" in keys:
-        found = {"dataset.path": words[0]}
-    return [*(f"{key}={value}" for key, value in found.items() if key not in keys), *words[1:]]
+        found = {"dataset.path": path}
+    return [f"{key}={value}" for key, value in found.items() if key not in keys]

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from rbtm_bench.cli.commands import main
-from rbtm_bench.cli.words import TEXT, as_typed
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.runs.declared import PLUGIN_GROUPS
 from rbtm_bench.runs.plugins import constructor_parameters
 from rbtm_bench.runs.settings import compose_settings, member_nodes
+from rbtm_bench.runs.words import TEXT, as_typed
 
 QUIET = ["backend=none", "selector=previous", "pictures=false", "pin=false"]
 
