@@ -30,8 +30,9 @@ from rbtm_bench.odometry.result import Odometry
 from rbtm_bench.odometry.system import system_odometry
 from rbtm_bench.pairs.shared import SharedDataset
 from rbtm_bench.report import frame, screen
-from rbtm_bench.runs import evaluation, experiment, first_part, keywords, replicate, stored
+from rbtm_bench.runs import assembly, evaluation, first_part, keywords, replicate, stored
 from rbtm_bench.runs.claim import default_folder
+from rbtm_bench.runs.experiment import BLOCK
 from rbtm_bench.runs.plugins import is_system
 from rbtm_bench.runs.settings import Settings, compose_settings
 from rbtm_bench.runs.words import as_typed, data_words
@@ -99,8 +100,8 @@ def register(
     config = composed.config
     if isinstance(given.get("backend"), System) or ("backend" not in given and is_system(config)):
         raise ConfigError(f"backend={backend} is a whole odometry: expected one that takes pairs")
-    experiment.check_dimensions(composed, scans[0].planar, given.get("backend"))
-    method = experiment.build_backend(config, given.get("backend"))
+    assembly.check_dimensions(composed, scans[0].planar, given.get("backend"))
+    method = assembly.build_backend(config, given.get("backend"))
     prepared = [method.prepare(scan) for scan in scans]
     T_guess = np.eye(4) if guess is None else guess
     judged_by = config["judge_points"], config["judge_radius"]
@@ -160,17 +161,17 @@ def odometry(
         words = _opened.get(scans, words)
     composed = _composed([*words, *keywords.of_values(named)], config_dir)
     config, dataset = composed.config, scans if isinstance(scans, Dataset) else FirstScan(first)
-    experiment.check_dimensions(composed, first.planar, given.get("backend"))
-    experiment.check_fit(composed, dataset)
+    assembly.check_dimensions(composed, first.planar, given.get("backend"))
+    assembly.check_fit(composed, dataset)
     every = itertools.chain([first], stream)
-    node = experiment.build(config["backend"]) if is_system(config) else None
+    node = assembly.build(config["backend"]) if is_system(config) else None
     if isinstance(system := given.get("backend", node), System):
         return Odometry(system_odometry(every, system))
     if dataset is not scans and config["selector"].get("threshold") == AUTO:
         raise ConfigError("selector.threshold=auto looks at the data first: expected a Dataset")
-    known = first_part.determined(config, SharedDataset(dataset, 0.0), experiment.method_of)
-    method = experiment.method_of(first_part.filled(config, known.values), given)
-    block = 1 if is_stream or given else experiment.BLOCK
+    known = first_part.determined(config, SharedDataset(dataset, 0.0), assembly.method_of)
+    method = assembly.method_of(first_part.filled(config, known.values), given)
+    block = 1 if is_stream or given else BLOCK
     return Odometry(loop.odometry(every, method, block=block))
 
 
@@ -207,7 +208,7 @@ def open_dataset(
         raise ConfigError("dataset: expected a name; what is a Dataset already is open")
     words = _with_path(path, keywords.of_values(named))
     config = _composed(words, config_dir).config
-    dataset = replicate.copy_of(experiment.build(config["dataset"]), config)
+    dataset = replicate.copy_of(assembly.build(config["dataset"]), config)
     summary.tell(dataset)
     _opened[dataset] = words
     return dataset
@@ -352,7 +353,7 @@ def evaluate(
         If nothing belongs together, or the data set knows no truth.
     """
     _, named = keywords.objects_and_names(settings, ("metrics",), "evaluate")
-    metrics = experiment.build_metrics(_composed(keywords.of_values(named), ()).config)
+    metrics = assembly.build_metrics(_composed(keywords.of_values(named), ()).config)
     poses = _trajectory(estimate, "estimate")
     if isinstance(reference, Dataset):
         truth, first = evaluation.truth_of(reference), reference.scored_from

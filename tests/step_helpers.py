@@ -8,12 +8,12 @@ import numpy as np
 
 from rbtm_bench.core.types import Step
 from rbtm_bench.odometry.loop import odometry
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import assembly
 
 TIMES = ("t_prepare_s", "t_describe_s", "t_guess_s", "t_select_s", "t_register_s", "t_check_s")
 
 
-def steps(parts: experiment.Parts) -> list[Step]:
+def steps(parts: assembly.Parts) -> list[Step]:
     """A whole run."""
     return list(odometry(parts.dataset, parts.method, parts.work))
 

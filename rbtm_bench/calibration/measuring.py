@@ -71,7 +71,7 @@ class _Kept:
 
     def open(self, data: Node, plugin: Node) -> None:
         """Build data set and plug-in, unless they are the ones kept."""
-        from rbtm_bench.runs import experiment
+        from rbtm_bench.runs import assembly
 
         data_key = node_key(data)
         key = data_key + node_key(plugin)
@@ -79,8 +79,8 @@ class _Kept:
             return
         if not self.key.startswith(data_key):
             self.key = ""  # if anything below fails, nothing of before stands for it
-            self.dataset = experiment.build(data)
-        self.plugin, self.items, self.bytes, self.key = experiment.build(plugin), {}, 0.0, key
+            self.dataset = assembly.build(data)
+        self.plugin, self.items, self.bytes, self.key = assembly.build(plugin), {}, 0.0, key
 
     def item(self, scan: int, make: Callable[[Scan], Any]) -> Any:
         """What ``make`` makes of a scan, made once as long as memory lasts."""

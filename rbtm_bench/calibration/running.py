@@ -128,9 +128,9 @@ def _judged(tables: Sequence[pd.DataFrame], plan: CalibrationPlan) -> pd.DataFra
 
 
 def _track(node: Node, progress: Progress) -> Track:
-    from rbtm_bench.runs import experiment
+    from rbtm_bench.runs import assembly
 
-    dataset = experiment.build(node)
+    dataset = assembly.build(node)
     return track_of(dataset, lambda done, total: progress(done, total, "reading scans"))
 
 

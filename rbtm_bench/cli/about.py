@@ -52,8 +52,9 @@ def list_plugins(words: list[str]) -> int:
         "group",
         nargs="?",
         choices=PLUGIN_GROUPS,
+        metavar="GROUP",
         type=lambda word: plural.get(word, word),
-        help="only this group",
+        help=f"only this one: {', '.join(PLUGIN_GROUPS)}",
     )
     parser.add_argument("--config-dir", "-cd", action="append", default=[], type=Path)
     parser.add_argument("--names", action="store_true", help="names only")

@@ -37,11 +37,11 @@ def data(words: list[str]) -> int:
     if strangers:
         raise ConfigError(f"{strangers[0]}: expected key=value")
     from rbtm_bench.datasets import summary
-    from rbtm_bench.runs import experiment
+    from rbtm_bench.runs import assembly
     from rbtm_bench.runs.settings import compose_settings
 
     settings = compose_settings(as_typed(rest), tuple(map(Path, options.config_dir)))
-    dataset = experiment.build(settings.config["dataset"])
+    dataset = assembly.build(settings.config["dataset"])
     chosen = {k: v for k, v in settings.config["dataset"].items() if k in ("path", "sequence")}
     place = ", ".join(str(value) for value in chosen.values())
     print(f"{settings.choices['dataset']}: {place or 'simulated'}")

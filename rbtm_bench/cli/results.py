@@ -281,7 +281,8 @@ def _print_statistics(
         numbers = [c for c in rows if c not in descriptive]
         rows, same = render.screen_table(rows, list(rows), [*render.ALWAYS, *numbers])
         notes = [f"the same in every row: {same}", *notes] if same else notes
-        keep = [*render.ALWAYS, "settings", "holds", "p_holm", "ratio", *numbers[:1]]
+        apart = "ratio" if "ratio" in rows and rows["ratio"].notna().any() else "difference"
+        keep = [*render.ALWAYS, "settings", "holds", "p_holm", apart, *numbers[:1]]
         keep += ["metric"] if "metric" in rows and rows["metric"].nunique() > 1 else []
         print("\n".join(render.fitted(rows, keep)))
         return _say(notes, options.format)

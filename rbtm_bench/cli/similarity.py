@@ -46,8 +46,8 @@ def similarity(words: list[str]) -> int:
     from rbtm_bench.runs.claim import default_folder
 
     pin_unless_lifted(overrides)  # numpy sizes its thread pool when it is imported
+    from rbtm_bench.runs.assembly import build
     from rbtm_bench.runs.claim import refuse_existing
-    from rbtm_bench.runs.experiment import build
     from rbtm_bench.runs.settings import compose_settings
     from rbtm_bench.similarity import scorematrix
 

@@ -15,7 +15,7 @@ import pytest
 from rbtm_bench.core import wording
 from rbtm_bench.core.errors import ConfigError, RbtmBenchError, one_line
 from rbtm_bench.runs import declared, plugins, settings
-from rbtm_bench.runs.experiment import build
+from rbtm_bench.runs.assembly import build
 
 REQUIRED = {
     ("selector", "random_gap"): ("selector.gaps=[1,2,3]",),

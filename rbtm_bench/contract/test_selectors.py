@@ -14,7 +14,7 @@ from rbtm_bench.contract.scene import TinyClouds
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.geometry import inverse, se2
 from rbtm_bench.core.types import Array, Node, RegistrationResult, Scan
-from rbtm_bench.runs.experiment import check_fit
+from rbtm_bench.runs.assembly import check_fit
 from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.selection.base import Candidate, Selection, Selector, Trial
 

@@ -163,6 +163,22 @@ class KissDataset(Dataset):
         return self._drops.total()
 
 
+Loader = Literal[
+    "apollo",
+    "boreas",
+    "generic",
+    "helipr",
+    "kitti_raw",
+    "mulran",
+    "ncd",
+    "nclt",
+    "nuscenes",
+    "ouster",
+    "tum",
+]
+"""Loaders of KISS-ICP's that need no vendor's kit, and two that do."""
+
+
 class KissFormat(KissDataset):
     """A data set by KISS-ICP's ``loader``: apollo, boreas, generic, helipr, kitti_raw, mulran,
     ncd (Newer College), nclt, nuscenes, ouster (one .pcap file) or tum.
@@ -182,19 +198,7 @@ class KissFormat(KissDataset):
     def __init__(
         self,
         path: str,
-        loader: Literal[
-            "apollo",
-            "boreas",
-            "generic",
-            "helipr",
-            "kitti_raw",
-            "mulran",
-            "ncd",
-            "nclt",
-            "nuscenes",
-            "ouster",
-            "tum",
-        ],
+        loader: Loader,
         sequence: Literal["Avia", "Aeva", "Ouster", "Velodyne"] | Index | None = None,
         rate_hz: Annotated[float, Gt(0)] = 10.0,
         tolerance_s: Annotated[float, Gt(0)] = 0.1,

@@ -8,7 +8,7 @@ from typing import Any
 
 from rbtm_bench.core.errors import RbtmBenchError
 from rbtm_bench.engine import one_run
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import assembly
 from rbtm_bench.runs.grid import Point
 from rbtm_bench.runs.identity import node_key
 from rbtm_bench.runs.plugins import class_of, is_system
@@ -44,7 +44,7 @@ def registrations_at_most(points: Sequence[Point], scans: dict[str, int]) -> int
         data = node_key(config["dataset"])
         if data not in scans:
             return "not every data set was opened"
-        way = (data, node_key(experiment.backend_node(config), config["guess"]))
+        way = (data, node_key(assembly.backend_node(config), config["guess"]))
         reach = _reach(config["selector"])
         alone[way] += reach is None
         widest[way] = max(widest.get(way, 0.0), reach or 0.0)
@@ -63,7 +63,7 @@ def _reach(node: dict[str, Any]) -> float | None:
     where scans are left out, runs remember different ones; None where it holds one keyframe, which
     is all that a scan can be registered to."""
     try:
-        selector = experiment.build(node)
+        selector = assembly.build(node)
         if selector.fallback == "skip":
             return float("inf")
         if selector.window().keyframes is None:

@@ -12,7 +12,7 @@ from rbtm_bench.core.files import write_json
 from rbtm_bench.datasets import summary
 from rbtm_bench.engine import sweep_folder
 from rbtm_bench.engine.child import end_left_processes
-from rbtm_bench.runs import experiment, provenance
+from rbtm_bench.runs import assembly, experiment, provenance
 from rbtm_bench.runs.claim import refuse_existing
 from rbtm_bench.runs.grid import Point
 from rbtm_bench.runs.identity import node_key
@@ -40,14 +40,14 @@ def check_data(points: Sequence[Point]) -> dict[str, int]:
         key = node_key(config["dataset"])
         if key not in opened:
             opened.clear()  # one data set in memory at a time
-            opened[key] = experiment.build(config["dataset"])
+            opened[key] = assembly.build(config["dataset"])
             scans[key] = len(opened[key])
             summary.tell(opened[key])
         groups = ("backend", "search", "guess", "similarity", "selector", "check", "target")
         fit = repr((key, [config.get(group) for group in groups]))
         if fit not in checked:
             checked.add(fit)
-            experiment.check_fit(point.settings, opened[key])
+            assembly.check_fit(point.settings, opened[key])
     return scans
 
 

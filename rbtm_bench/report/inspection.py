@@ -18,7 +18,7 @@ from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.kinds import Kind
 from rbtm_bench.report import frame, screen
 from rbtm_bench.runs import experiment, stored
-from rbtm_bench.runs.declared import GROUPS, PLUGIN_GROUPS, SHARED, kind_of
+from rbtm_bench.runs.declared import ADDED, GROUPS, PLUGIN_GROUPS, SHARED, kind_of
 from rbtm_bench.runs.stored import Run
 
 WIDTH = 100
@@ -76,8 +76,8 @@ def run_text(run: Run) -> str:
     for group in (*PLUGIN_GROUPS, "metrics"):
         choice = record["choices"].get(group)
         node = config.get(group)
-        if choice is None and node is None:
-            continue
+        if (choice is None and node is None) or choice == ADDED.get(group, ""):
+            continue  # what does nothing, in groups that came later, is not told
         values = _settings(node if isinstance(node, dict) else {})
         text = f"{choice}: {' '.join(f'{k}={_word(v)}' for k, v in values.items())}"
         lines += _entry("data" if group == "dataset" else group, text.rstrip(": "))

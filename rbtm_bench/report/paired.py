@@ -16,6 +16,7 @@ from rbtm_bench.report.frame import METHOD, MethodRuns
 from rbtm_bench.report.margin import Margin, margin_of
 from rbtm_bench.report.units import CLUSTERS, Units, grouped, methods_to_compare
 from rbtm_bench.report.with_intervals import choice_of, keys_of, references_of
+from rbtm_bench.runs.declared import GROUPS
 from rbtm_bench.runs.stored import Run
 
 if TYPE_CHECKING:
@@ -112,6 +113,8 @@ def _words(reference: str, methods: Sequence[MethodRuns]) -> dict[str, str]:
             known = f"known {key}s: {', '.join(names[key])}"
             raise ConfigError(f"--against {reference}: no {key} {value} in these runs; {known}")
         words[key] = value
+    if not words.keys() <= set(GROUPS) and not words.keys() & {"selector", "backend"}:
+        raise ConfigError(f"--against {reference}: expected a selector or a backend, and more")
     return words
 
 

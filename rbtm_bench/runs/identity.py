@@ -154,8 +154,8 @@ def idle_settings(config: Mapping[str, Any]) -> tuple[str, ...]:
     """The groups and settings that do nothing for the chosen plug-ins.
 
     A similarity of which neither selector nor loops need scores, and what a plug-in's
-    ``idle_settings`` (setting -> (other setting, value)) declares: idle where the other has that
-    value.
+    ``idle_settings`` (setting -> (other setting, value), or several such) declares: idle where the
+    other has that value; ``...`` stands for any but None.
     """
     if is_system(config):
         return FOR_PAIRS
@@ -168,10 +168,15 @@ def idle_settings(config: Mapping[str, Any]) -> tuple[str, ...]:
             continue
         if group in ("selector", "loops"):
             needs_scores = needs_scores or getattr(made, "needs_scores", group == "selector")
-        for key, (other, value) in getattr(made, "idle_settings", {}).items():
-            if node.get(other) == value:
+        for key, rule in getattr(made, "idle_settings", {}).items():
+            rules = (rule,) if isinstance(rule[0], str) else rule
+            if any(_holds(node.get(other), value) for other, value in rules):
                 idle.append(f"{group}.{key}")
     return tuple(idle) if needs_scores else ("similarity", *idle)
+
+
+def _holds(value: Any, expected: Any) -> bool:
+    return value is not None if expected is ... else bool(value == expected)
 
 
 def node_key(*nodes: Any) -> str:

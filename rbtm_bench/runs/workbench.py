@@ -19,7 +19,7 @@ from rbtm_bench.pairs.codec import context
 from rbtm_bench.pairs.shared import KnownScores, Memory, SharedDataset, SharedWork
 from rbtm_bench.pairs.store import PairStore
 from rbtm_bench.pairs.watched import Watch, WatchedWork
-from rbtm_bench.runs import experiment, first_part, replicate
+from rbtm_bench.runs import assembly, first_part, replicate
 from rbtm_bench.runs.declared import kind_of
 from rbtm_bench.runs.first_part import Determined
 from rbtm_bench.runs.identity import node_key
@@ -45,7 +45,7 @@ class Workbench:
         self._watch: Watch | None = None
         """Of the run's foreign plug-ins; None if all are ours."""
 
-    def parts(self, settings: Settings) -> experiment.Parts:
+    def parts(self, settings: Settings) -> assembly.Parts:
         """The run's plug-ins and its work, shared where that changes nothing but the time."""
         dataset = self._dataset(settings.config)
         self._watch = dataset.watch
@@ -53,25 +53,25 @@ class Workbench:
             self._watch.begin()
         if self._store is not None:
             self._store.hold(self._watch is not None)
-        experiment.check_fit(settings, dataset.plain)
+        assembly.check_fit(settings, dataset.plain)
         determined = self._determined(settings.config, dataset)
         config = first_part.filled(settings.config, determined.values)
         config = replicate.with_moved(config, dataset)
-        metrics = experiment.build_metrics(config)
+        metrics = assembly.build_metrics(config)
         if is_system(config):  # it remembers, so nothing of it can be shared but the scans
-            return experiment.Parts(dataset, experiment.build(config["backend"]), metrics)
+            return assembly.Parts(dataset, assembly.build(config["backend"]), metrics)
         others = ("similarity", "selector", "check", "recovery", "target")
-        node = experiment.backend_node(config)
-        backend = self._once("backend", node, partial(experiment.build_backend, config))
-        guess, guess_key = experiment.build(config["guess"]), None
+        node = assembly.backend_node(config)
+        backend = self._once("backend", node, partial(assembly.build_backend, config))
+        guess, guess_key = assembly.build(config["guess"]), None
         if guess.pure:
             guess_key = node_key(config["guess"], guess.needs_backend and node)
             guess = self._once("guess", guess_key, lambda: guess)
         method = Method(
             backend=backend,
             guess=guess,
-            **experiment.loop_settings(config),
-            **{group: experiment.build(config[group]) for group in others},
+            **assembly.loop_settings(config),
+            **{group: assembly.build(config[group]) for group in others},
         )
         limits = {kind: self._bytes * share for kind, share in SHARES.items() if kind != "scans"}
         memory = self._once("memory", None, lambda: Memory(**limits))
@@ -80,8 +80,8 @@ class Workbench:
         work: Work = SharedWork(method, memory, self._store, contexts, scores, guess_key)
         if self._watch is not None:
             work = WatchedWork(work, self._watch)
-        loops = experiment.build(config["loops"])
-        return experiment.Parts(dataset, method, metrics, work, determined, loops)
+        loops = assembly.build(config["loops"])
+        return assembly.Parts(dataset, method, metrics, work, determined, loops)
 
     def flush(self) -> None:
         """Let other processes see what this one has computed."""
@@ -113,7 +113,7 @@ class Workbench:
         if is_system(config):
             return Determined({})
         nodes = [v for k, v in config.items() if k == "seed" or kind_of(k) is Kind.WHAT]
-        make = lambda: first_part.determined(config, dataset, experiment.method_of)  # noqa: E731
+        make = lambda: first_part.determined(config, dataset, assembly.method_of)  # noqa: E731
         return self._once("determined", nodes, make)
 
     def _dataset(self, config: dict[str, Any]) -> SharedDataset:
@@ -133,7 +133,7 @@ class Workbench:
         key = node_key(node)
         if self._plain is None or self._plain[0] != key:
             self._plain = None  # before the next: one in memory at a time
-            self._plain = (key, experiment.build(node))
+            self._plain = (key, assembly.build(node))
         return self._plain[1]
 
     def _contexts(
@@ -141,7 +141,7 @@ class Workbench:
     ) -> list[bytes]:
         """What tells the registrations of a data set and a backend from others. With strangers at
         work in this process, which may have changed anything, their names do as well."""
-        node = experiment.backend_node(config)
+        node = assembly.backend_node(config)
         judged = config["judge_points"], config["judge_radius"]
         beside = sorted(foreign_modules(config) - foreign_modules(node))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from annotated_types import Gt
@@ -18,6 +18,8 @@ class Keyframe(Selector):
     """Every scan is matched to the last keyframe; a scan becomes a keyframe when it moved
     ``distance`` m or ``angle_deg`` from the last one, by estimate. Where ``distance`` is None a run
     makes it ``distance_relative`` times the median range of the data's first part."""
+
+    idle_settings: ClassVar[dict[str, Any]] = {"distance_relative": ("distance", ...)}
 
     def __init__(
         self,

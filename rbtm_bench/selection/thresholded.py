@@ -42,10 +42,10 @@ class ThresholdSelector(Selector):
     """
 
     needs_scores = True
-    idle_settings: ClassVar[dict[str, tuple[str, Any]]] = {
+    idle_settings: ClassVar[dict[str, Any]] = {
         "keyframe_distance": ("content", "scans"),
         "keyframe_angle_deg": ("content", "scans"),
-        "keyframe_distance_relative": ("content", "scans"),
+        "keyframe_distance_relative": (("content", "scans"), ("keyframe_distance", ...)),
     }
 
     def __init__(

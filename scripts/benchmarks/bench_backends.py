@@ -33,7 +33,7 @@ from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.engine.progress import bar
 from rbtm_bench.odometry import judge
 from rbtm_bench.odometry.judge import evaluate
-from rbtm_bench.runs import experiment, settings
+from rbtm_bench.runs import assembly, settings
 from rbtm_bench.runs.pinning import pin_to_free_core
 
 DATA = {
@@ -144,7 +144,7 @@ def _median(call: Callable[[], object], repeats: int) -> float:
 def pairs_in(name: str, folder: Path) -> tuple[list[tuple[Scan, Scan, Array]], list[str]]:
     """Target, source and guess of pairs spread over a data set, and its words."""
     words = [word.format(folder) for word in DATA[name]]
-    dataset = experiment.build(settings.compose_settings(words).config["dataset"])
+    dataset = assembly.build(settings.compose_settings(words).config["dataset"])
     starts = np.linspace(0, len(dataset) - 1 - GAP[name], PAIRS[name]).round().astype(int)
     pairs = []
     for i in starts.tolist():

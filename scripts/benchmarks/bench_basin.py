@@ -29,7 +29,7 @@ from rbtm_bench.core.files import make_folder, write_atomically
 from rbtm_bench.core.types import Array
 from rbtm_bench.engine.progress import bar
 from rbtm_bench.plots import basins, style
-from rbtm_bench.runs import experiment, plugins, settings
+from rbtm_bench.runs import assembly, plugins, settings
 from rbtm_bench.runs.pinning import pin_to_free_core
 
 ENVIRONMENTS = ("paper", "cluttered", "l_turn")
@@ -60,14 +60,14 @@ def load(options: argparse.Namespace, words: list[str]) -> tuple[list[KnownPair]
     if any(word.startswith("dataset=") for word in words):
         composed = settings.compose_settings(words)
         pairs = pairs_of(
-            experiment.build(composed.config["dataset"]), options.gap or 1, options.pairs
+            assembly.build(composed.config["dataset"]), options.gap or 1, options.pairs
         )
     else:
         pairs = []
         for place in ENVIRONMENTS:
             word = f"dataset.environment={place}"
             composed = settings.compose_settings([*words, word])
-            dataset = experiment.build(composed.config["dataset"])
+            dataset = assembly.build(composed.config["dataset"])
             pairs += pairs_of(dataset, options.gap or 20, -(-options.pairs // len(ENVIRONMENTS)))
     if distance is None:
         distance = 1.0
@@ -82,7 +82,7 @@ def backends_for(names: str | None, planar: bool, words: list[str]) -> dict[str,
         cls = plugins.locate(f"backend={name}", node["_target_"])
         fits = isinstance(cls, type) and issubclass(cls, Backend) and needed in cls.dimensions
         if fits and not cls.is_baseline:
-            backends[name] = experiment.build(node)
+            backends[name] = assembly.build(node)
     return backends
 
 

@@ -30,7 +30,7 @@ from rbtm_bench.calibration.known_pairs import (
 )
 from rbtm_bench.core.files import make_folder, write_atomically
 from rbtm_bench.engine.progress import bar
-from rbtm_bench.runs import experiment, settings
+from rbtm_bench.runs import assembly, settings
 from rbtm_bench.runs.pinning import pin_to_free_core
 
 FLOOR = (0.02, 0.3)
@@ -41,7 +41,7 @@ COLUMNS = ("log", "backend", "mean_m", "mean_deg", "near", "ms", "failed", "pair
 def pairs_in(log: Path) -> list[KnownPair]:
     """Consecutive scans with corrected pose and odometry."""
     words = ["dataset=carmen", f"dataset.path='{log}'"]
-    dataset = experiment.build(settings.compose_settings(words).config["dataset"])
+    dataset = assembly.build(settings.compose_settings(words).config["dataset"])
     return [pair for pair in pairs_of(dataset) if pair.odometry is not None]
 
 

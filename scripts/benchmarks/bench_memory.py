@@ -22,14 +22,14 @@ REPEAT = 4
 def child(log: str) -> None:
     """Run the loop over a log and print the peak in MB."""
     from rbtm_bench.odometry.loop import odometry
-    from rbtm_bench.runs import experiment
+    from rbtm_bench.runs import assembly
     from rbtm_bench.runs.pinning import pin_to_free_core
     from rbtm_bench.runs.settings import compose_settings
 
     pin_to_free_core()
     words = ["dataset=carmen", f"dataset.path='{log}'", "selector=rbtm", "selector.window=100"]
     words += ["similarity=curvature_circular", "selector.threshold=0.7"]
-    parts = experiment.instantiate(compose_settings(words))
+    parts = assembly.instantiate(compose_settings(words))
     opened = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     count = sum(1 for _ in odometry(parts.dataset, parts.method))
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024

@@ -25,7 +25,7 @@ import numpy as np
 from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.odometry.loop import odometry
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import assembly, experiment
 from rbtm_bench.runs.pinning import pin_to_free_core
 from rbtm_bench.runs.settings import compose_settings
 
@@ -47,7 +47,7 @@ WAYS = {
 BLOCK = experiment.BLOCK
 
 
-def ours(parts: experiment.Parts) -> tuple[float, float, Array]:
+def ours(parts: assembly.Parts) -> tuple[float, float, Array]:
     """CPU seconds of a run, seconds of describing and selecting in it, and its last pose."""
     selecting = 0.0
     started = time.process_time()
@@ -56,7 +56,7 @@ def ours(parts: experiment.Parts) -> tuple[float, float, Array]:
     return time.process_time() - started, selecting, step.T_world_scan
 
 
-def attempts_of(parts: experiment.Parts) -> tuple[list[Attempt], dict[int, int]]:
+def attempts_of(parts: assembly.Parts) -> tuple[list[Attempt], dict[int, int]]:
     """Every registration that a run asks for, and the attempt that each scan's pose is taken
     from."""
     asked: list[Attempt] = []
@@ -144,7 +144,7 @@ def main() -> None:
         words = [word.format(data=options.data) for word in WAYS[way]]
         if options.scans:
             words.append(f"dataset.max_scans={options.scans}")
-        parts = experiment.instantiate(compose_settings(words))
+        parts = assembly.instantiate(compose_settings(words))
         scans: Any = list(parts.dataset)
         parts = replace(parts, dataset=scans)
         asked, taken = attempts_of(parts)

@@ -21,7 +21,7 @@ from pathlib import Path
 
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.pairs.store import PairStore
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import assembly, experiment
 from rbtm_bench.runs.pinning import pin_to_free_core
 from rbtm_bench.runs.settings import Settings, compose_settings
 from rbtm_bench.runs.workbench import Workbench
@@ -59,7 +59,7 @@ def grid(log: str, guess: str, scans: int | None) -> list[Settings]:
     return points
 
 
-def measure(runs: Iterable[experiment.Parts]) -> Side:
+def measure(runs: Iterable[assembly.Parts]) -> Side:
     """Time the loops over all runs."""
     digest, asked, reused = hashlib.sha256(), 0, 0
     pairs: set[tuple[int | None, int]] = set()
@@ -74,11 +74,11 @@ def measure(runs: Iterable[experiment.Parts]) -> Side:
     return Side(time.perf_counter() - started, asked, len(pairs), reused, digest.hexdigest())
 
 
-def plain(points: list[Settings]) -> Iterable[experiment.Parts]:
+def plain(points: list[Settings]) -> Iterable[assembly.Parts]:
     """The same plug-ins for every point, but for the selector."""
-    first = experiment.instantiate(points[0])
+    first = assembly.instantiate(points[0])
     for point in points:
-        selector = experiment.build(point.config["selector"])
+        selector = assembly.build(point.config["selector"])
         method = dataclasses.replace(first.method, selector=selector)
         yield dataclasses.replace(first, method=method)
 

@@ -25,7 +25,7 @@ from rbtm_bench.core.types import Array, Scan, StepRecord
 from rbtm_bench.metrics.relations import RelationError
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.odometry.system import system_odometry
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import assembly, experiment
 from rbtm_bench.runs.pinning import pin_to_free_core
 from rbtm_bench.runs.settings import compose_settings
 
@@ -105,7 +105,7 @@ def space(place: str) -> Iterator[tuple[str, str, list[str]]]:
 
 def row(data: str, way: str, words: Sequence[str]) -> None:
     """Run one way and print what it costs and where it ends."""
-    parts = experiment.instantiate(compose_settings(list(words)))
+    parts = assembly.instantiate(compose_settings(list(words)))
     scans = list(parts.dataset)
     if way.startswith("library"):
         run: Run = partial(library, float(way.split()[-2]))
@@ -127,7 +127,7 @@ def row(data: str, way: str, words: Sequence[str]) -> None:
 
 def ours(words: Sequence[str]) -> Run:
     """The product's loop, with everything new."""
-    method = experiment.instantiate(compose_settings(list(words))).method
+    method = assembly.instantiate(compose_settings(list(words))).method
 
     def run(scans: Sequence[Scan]) -> tuple[list[Array], list[StepRecord]]:
         if isinstance(method, System):
@@ -139,7 +139,7 @@ def ours(words: Sequence[str]) -> Run:
     return run
 
 
-def relations_error(parts: experiment.Parts, scans: Sequence[Scan], poses: list[Array]) -> float:
+def relations_error(parts: assembly.Parts, scans: Sequence[Scan], poses: list[Array]) -> float:
     """The mean error of all relations in m; without any the final position error."""
     relations = parts.dataset.relations
     if relations is not None:

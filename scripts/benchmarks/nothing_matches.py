@@ -21,7 +21,7 @@ from rbtm_bench.core.types import Array, Scan, Step, StepTable
 from rbtm_bench.datasets.base import Dataset, beam_points
 from rbtm_bench.metrics.summary import summarise_steps
 from rbtm_bench.odometry.loop import odometry
-from rbtm_bench.runs.experiment import instantiate
+from rbtm_bench.runs.assembly import instantiate
 from rbtm_bench.runs.settings import compose_settings
 
 RBTM = ("selector=rbtm_verified", "selector.threshold=0.7")

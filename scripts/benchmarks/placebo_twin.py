@@ -12,7 +12,7 @@ from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.core.types import Array
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.datasets.perturbed import Since
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import assembly
 from rbtm_bench.runs.evaluation import evaluate
 from rbtm_bench.runs.stored import Run
 
@@ -52,7 +52,7 @@ def twin_error(run: Run, key: str) -> Callable[[float], float]:
         own = position[scan] - position[model[scan]] if shrinks else 0.0
         moved[scan] = moved[model[scan]] + own
     dataset, truth = scored(run, draw["scored_from_scan"])
-    metrics = [m for m in experiment.build_metrics(run.config) if key in m.columns]
+    metrics = [m for m in assembly.build_metrics(run.config) if key in m.columns]
 
     def error(shrunk: float) -> float:
         T = estimate.T_world_scan.copy()
@@ -70,7 +70,7 @@ def scored(run: Run, first: int) -> tuple[Dataset, Trajectory | None]:
     """The part of the data that is evaluated, as it is, with its truth."""
     name = repr(run.config["dataset"])
     if name not in _opened:
-        _opened[name] = experiment.build(run.config["dataset"])
+        _opened[name] = assembly.build(run.config["dataset"])
     dataset = Since(_opened[name], first)
     if not dataset.has_ground_truth:
         return dataset, None

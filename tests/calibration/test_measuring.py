@@ -15,7 +15,7 @@ from rbtm_bench.calibration.sampling import draw
 from rbtm_bench.calibration.track import track_of
 from rbtm_bench.engine import drive
 from rbtm_bench.runs import settings
-from rbtm_bench.runs.experiment import build
+from rbtm_bench.runs.assembly import build
 
 PLUGIN = '''
 import os

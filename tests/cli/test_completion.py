@@ -65,7 +65,7 @@ def test_members_and_keys(complete, command: str) -> None:
 
 def test_keys_after_lists_of_values(complete) -> None:
     line = "rbtm-bench compare backend=none,open3d_p2p selector=rbtm,previous selector.wi"
-    assert complete(line) == ["selector.window="]
+    assert complete(line) == ["selector.window=", "selector.window_m="]
 
 
 def test_commands(complete) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from rbtm_bench.cli import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.datasets import download, published
 from rbtm_bench.datasets.download import PIECE
 from rbtm_bench.datasets.published import PUBLISHED, Remote

@@ -100,7 +100,7 @@ from rbtm_bench.runs.settings import compose_settings
 compose_settings(["backend=plicp", "similarity=overlap"])
 assert not [name for name in sys.modules if name.partition(".")[0] in ("numba", "scipy")]
 from rbtm_bench.core import kernels
-from rbtm_bench.runs.experiment import build
+from rbtm_bench.runs.assembly import build
 from rbtm_bench.runs.settings import compose_settings
 build(compose_settings([]).config["similarity"])
 assert not kernels._waiting

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from reader_mutants import cloud, write_las
 
-from rbtm_bench.cli import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.datasets.cloud_files import read_points
 from rbtm_bench.datasets.cloud_folder import CloudFolder

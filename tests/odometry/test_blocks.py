@@ -13,7 +13,7 @@ from step_helpers import assert_same
 from rbtm_bench.core.types import Scan, Step
 from rbtm_bench.odometry import loop
 from rbtm_bench.odometry.loop import odometry
-from rbtm_bench.runs.experiment import Parts, instantiate
+from rbtm_bench.runs.assembly import Parts, instantiate
 from rbtm_bench.runs.settings import compose_settings
 
 WAYS = {

@@ -136,9 +136,9 @@ def test_remapping_in_space_gives_a_motion(values: list[float], seed: int) -> No
 
 
 def run(*words: str):  # type: ignore[no-untyped-def]
-    from rbtm_bench.runs import experiment
+    from rbtm_bench.runs import assembly
 
-    parts = experiment.instantiate(compose_settings(list(words)))
+    parts = assembly.instantiate(compose_settings(list(words)))
     return [step.record for step in odometry(parts.dataset, parts.method)]
 
 
@@ -210,13 +210,13 @@ def test_remapping_in_space_by_hand() -> None:
 
 @pytest.mark.slow
 def test_the_setting_keeps_odometry_along_a_tunnel_in_space() -> None:
-    from rbtm_bench.runs import experiment
+    from rbtm_bench.runs import assembly
 
     words = ["dataset=simulated", "dataset.place=tunnel", "dataset.scans=25", "guess=odometry"]
     words += ["backend=open3d_p2plane", "selector=previous"]
 
     def short_by(*more: str) -> float:
-        parts = experiment.instantiate(compose_settings([*words, *more]))
+        parts = assembly.instantiate(compose_settings([*words, *more]))
         scans = list(parts.dataset)
         last = [step.T_world_scan for step in odometry(iter(scans), parts.method)][-1]
         truth = inverse(scans[0].ground_truth) @ scans[-1].ground_truth

@@ -21,7 +21,7 @@ from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.odometry.method import Method
 from rbtm_bench.pairs.shared import KnownScores
 from rbtm_bench.pairs.store import PairStore
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import assembly, experiment
 from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.runs.workbench import Workbench
 from rbtm_bench.selection.rbtm import Rbtm
@@ -146,7 +146,7 @@ def rows(run: list[Step]) -> list[dict[str, Any]]:
 @pytest.mark.parametrize("name", RUNS)
 def test_serial_and_shared_runs_are_the_same_bits(name: str, tmp_path: Path) -> None:
     settings = compose_settings([*RUN, *RUNS[name]])
-    parts = experiment.instantiate(settings)
+    parts = assembly.instantiate(settings)
     plain = list(odometry(parts.dataset, parts.method))
     with PairStore(tmp_path) as store:
         bench = Workbench(store)
@@ -166,7 +166,7 @@ def test_a_run_end_to_end(tmp_path: Path) -> None:
     settings = compose_settings([FEWER, "selector=rbtm", *RUNS["overlap"], "selector.window=64"])
     record = experiment.run(settings, tmp_path / "overlap")
     assert record["status"] == "done"
-    parts = experiment.instantiate(settings)
+    parts = assembly.instantiate(settings)
     steps = list(odometry(parts.dataset, parts.method))
     similarity, scans = Overlap(radius=0.05), list(parts.dataset)
     for step in steps[2::20]:

@@ -18,7 +18,7 @@ from rbtm_bench.core.types import Array, Node, Step, StepTable
 from rbtm_bench.metrics.summary import summarise_steps
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.pairs.store import PairStore
-from rbtm_bench.runs.experiment import instantiate
+from rbtm_bench.runs.assembly import instantiate
 from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.runs.workbench import Workbench
 from rbtm_bench.selection.previous import Previous

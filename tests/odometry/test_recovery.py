@@ -138,7 +138,7 @@ def test_scans_that_hardly_move_are_not_registered() -> None:
 
 def test_a_motion_filter_wants_a_guess_that_measures() -> None:
     from rbtm_bench.core.errors import ConfigError
-    from rbtm_bench.runs.experiment import build, check_fit
+    from rbtm_bench.runs.assembly import build, check_fit
 
     words = ["motion_filter.distance=0.02", "motion_filter.angle_deg=0.5"]
     settings = compose_settings([*words, "guess=constant_velocity"])

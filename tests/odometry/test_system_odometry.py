@@ -18,7 +18,7 @@ from rbtm_bench.core.geometry import se2
 from rbtm_bench.core.types import Array, Scan, Step, StepTable
 from rbtm_bench.metrics.summary import summarise_steps
 from rbtm_bench.odometry.system import system_odometry
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import assembly
 from rbtm_bench.runs.grid import make_points
 from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.runs.workbench import Workbench
@@ -263,7 +263,7 @@ def test_figures_leave_out_the_selection_that_it_has_not(compared: Path, tmp_pat
 
 def test_the_workbench_gives_it_shared_scans_and_nothing_else() -> None:
     settings = compose_settings(["backend=kiss_icp_system", "dataset.scans=10"])
-    plain, bench = experiment.instantiate(settings), Workbench()
+    plain, bench = assembly.instantiate(settings), Workbench()
     parts = [plain, bench.parts(settings), bench.parts(settings)]
     assert all(isinstance(part.method, System) for part in parts)
     poses = [

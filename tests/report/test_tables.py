@@ -165,8 +165,8 @@ def test_a_screen_shows_what_differs() -> None:
         method("rbtm", 20.0, coverage=1.0, rejected=2),
     )
     shown, same = render.screen_table(table)
-    assert "coverage" not in shown and "rejected" in shown and "backend" in shown
-    assert "coverage 1" in same and "data corridor" in same
+    assert "coverage" not in shown and "rejected" in shown and "selector" in shown
+    assert "coverage 1" in same and "backend p2p" in same and "data corridor" in same
     assert render.screen_table(table[:1])[1] == ""
 
 

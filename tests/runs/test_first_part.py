@@ -14,7 +14,7 @@ from rbtm_bench.core.types import Node, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.pairs.shared import SharedDataset
 from rbtm_bench.report import screen
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import assembly, experiment
 from rbtm_bench.runs.first_part import (
     UNDECIDED,
     Pilot,
@@ -156,10 +156,10 @@ class Cut(Dataset):
 def test_the_end_of_the_data_changes_no_threshold() -> None:
     """20 windows in motion say it of 60 scans as of 90; a method is given no truth."""
     settings = compose_settings([*SCANS[:1], "dataset.scans=91", "backend=plicp", "selector=rbtm"])
-    corridor = experiment.build(settings.config["dataset"])
+    corridor = assembly.build(settings.config["dataset"])
     values = set()
     for count in (60, 90):
-        method = experiment.method_of(filled(settings.config, {"selector.threshold": "auto"}))
+        method = assembly.method_of(filled(settings.config, {"selector.threshold": "auto"}))
         values.add(threshold(SharedDataset(Cut(corridor, count), 0.0, None), method))
     assert len(values) == 1, values
     assert "20 full windows in motion among the first 29 scans" in values.pop()[1]
@@ -177,7 +177,7 @@ def test_a_keyframe_relative_to_the_scene(tmp_path: Path) -> None:
     words = [*SCANS, "selector=keyframe", "selector.distance=null"]
     record = experiment.run(compose_settings(words), tmp_path / "run")
     ranges = record["determined"]["selector.distance"] / 0.1
-    parts = experiment.instantiate(compose_settings(words))
+    parts = assembly.instantiate(compose_settings(words))
     assert ranges == pytest.approx(median_range(parts.dataset), rel=0.01)
     assert read_run(tmp_path / "run").section("selector")["distance"] == pytest.approx(0.1 * ranges)
 

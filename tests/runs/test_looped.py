@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rbtm_bench.cli import main
+from rbtm_bench.cli.commands import main
 from rbtm_bench.core.columns import KNOWN
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.trajectory import Trajectory
 from rbtm_bench.graph.g2o import read_g2o
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import assembly
 from rbtm_bench.runs.settings import compose_settings
 
 SMALL = ["dataset.scans=25", "dataset.beams=91", "backend=plicp", "selector=keyframe"]
@@ -57,4 +57,4 @@ def test_the_similarity_counts_where_loops_ask_for_it() -> None:
     assert "similarity" in compose_settings(SMALL).idle
     assert "similarity" not in compose_settings([*SMALL, "loops=similarity"]).idle
     with pytest.raises(ConfigError, match="similarity=overlap compares under a guess"):
-        experiment.instantiate(compose_settings([*SMALL, "loops=similarity", "similarity=overlap"]))
+        assembly.instantiate(compose_settings([*SMALL, "loops=similarity", "similarity=overlap"]))

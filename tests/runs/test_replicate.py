@@ -11,7 +11,7 @@ from sweep_helpers import call, record_of
 from rbtm_bench.core.columns import is_cost
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.trajectory import Trajectory
-from rbtm_bench.runs import experiment, replicate, stored
+from rbtm_bench.runs import assembly, experiment, replicate, stored
 from rbtm_bench.runs.declared import PERTURBATION
 from rbtm_bench.runs.evaluation import COMMON
 from rbtm_bench.runs.grid import make_points
@@ -155,11 +155,11 @@ def test_runs_under_other_perturbations_are_of_another_way() -> None:
 
 def test_nuisance_settings_stay_within_bounds_and_what_is_none_is_left() -> None:
     low = settings("selector.threshold=1.0", "check=gated", "check.min_fitness=0", "replicate=1")
-    parts = experiment.instantiate(low)
+    parts = assembly.instantiate(low)
     moved = replicate.moved_settings(low.config, parts.dataset)
     assert 0.99 <= moved["selector.threshold"] <= 1.0 and 0 <= moved["check.min_fitness"] <= 0.01
     still = settings("replicate=1", "perturbation.distances=0", "perturbation.thresholds=0")
-    assert replicate.with_moved(still.config, experiment.instantiate(still).dataset) == still.config
+    assert replicate.with_moved(still.config, assembly.instantiate(still).dataset) == still.config
     kinds = {key for key, _, _ in replicate.nuisances(settings("backend=kiss_icp").config)}
     assert "backend.max_correspondence_distance" in kinds
     assert "backend.map_voxel_size" not in kinds  # null: the library's own

@@ -10,7 +10,7 @@ from step_helpers import TIMES, assert_same, steps
 
 from rbtm_bench.core.step_columns import STEPS
 from rbtm_bench.pairs.store import PairStore
-from rbtm_bench.runs import experiment, pictures
+from rbtm_bench.runs import assembly, pictures
 from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.runs.workbench import Workbench
 
@@ -33,7 +33,7 @@ METHODS = {
 @pytest.mark.parametrize("name", METHODS)
 def test_same_bits_plain_first_again_and_from_disk(name: str, tmp_path: Path) -> None:
     settings = compose_settings([SCANS, *METHODS[name]])
-    plain = steps(experiment.instantiate(settings))
+    plain = steps(assembly.instantiate(settings))
     with PairStore(tmp_path) as store:
         bench = Workbench(store)
         assert_same(plain, steps(bench.parts(settings)))
@@ -85,7 +85,7 @@ def test_other_data_other_backend_other_seed_share_nothing(tmp_path: Path) -> No
 
 def test_a_tiny_memory_changes_no_bit() -> None:
     settings = compose_settings([SCANS, *METHODS["odometry"]])
-    plain = steps(experiment.instantiate(settings))
+    plain = steps(assembly.instantiate(settings))
     bench = Workbench(memory_mb=0.05)
     assert_same(plain, steps(bench.parts(settings)))
     assert_same(plain, steps(bench.parts(settings)))
@@ -98,7 +98,7 @@ def test_every_time_of_a_step_is_exempt_from_the_comparison() -> None:
 
 def test_matrices_for_pictures_are_the_same_bits() -> None:
     settings = compose_settings([SCANS, *METHODS["odometry"]])
-    plain, shared = experiment.instantiate(settings), Workbench().parts(settings)
+    plain, shared = assembly.instantiate(settings), Workbench().parts(settings)
     scans, expected = pictures.similarity_matrix(plain.dataset, plain.method.similarity)
     _, found = pictures.similarity_matrix(shared.dataset, shared.method.similarity)
     assert len(scans) == 40

@@ -17,7 +17,7 @@ from rbtm_bench.contract.scene import planar_scan
 from rbtm_bench.core.geometry import inverse, rotation_angle, se2, transform, translation_norm, yaw
 from rbtm_bench.core.types import Scan
 from rbtm_bench.odometry import judge
-from rbtm_bench.runs import experiment, settings
+from rbtm_bench.runs import assembly, settings
 from rbtm_bench.search.base import SearchedBackend
 from rbtm_bench.search.correlative import CorrelativeSearch
 from rbtm_bench.search.none import NoSearch
@@ -89,10 +89,10 @@ def test_runs_differ_by_their_search_and_older_ones_have_none() -> None:
     other = settings.compose_settings([*words, "search=correlative", "search.translation=0.2"])
     assert len({s.identity.run for s in (plain, one, other)}) == 3
     assert "search" not in plain.identity.choices  # as runs that do not name the group
-    nodes = [experiment.backend_node(s.config) for s in (plain, one, other)]
+    nodes = [assembly.backend_node(s.config) for s in (plain, one, other)]
     assert nodes[0] == plain.config["backend"]  # pairs known before this group are still known
     assert nodes[0] != nodes[1] != nodes[2]
-    assert isinstance(experiment.build_backend(one.config), SearchedBackend)
+    assert isinstance(assembly.build_backend(one.config), SearchedBackend)
 
 
 def test_a_run_says_what_its_search_cost_and_shares_its_pairs(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from loop_helpers import Perfect, Script, drive, method
 from rbtm_bench.core.geometry import se2
 from rbtm_bench.core.types import Node
 from rbtm_bench.odometry.loop import odometry
-from rbtm_bench.runs.experiment import instantiate
+from rbtm_bench.runs.assembly import instantiate
 from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.selection.least_uncertain import LeastUncertain
 from rbtm_bench.selection.rbtm import Rbtm

@@ -25,7 +25,7 @@ from rbtm_bench.metrics.ape import Ape
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.pairs.shared import KnownScores
 from rbtm_bench.pairs.store import PairStore
-from rbtm_bench.runs.experiment import check_fit, instantiate
+from rbtm_bench.runs.assembly import check_fit, instantiate
 from rbtm_bench.runs.pictures import similarity_matrix
 from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.runs.workbench import Workbench

@@ -12,7 +12,7 @@ from rbtm_bench.check.gated import Gated
 from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.odometry.loop import odometry
-from rbtm_bench.runs.experiment import instantiate
+from rbtm_bench.runs.assembly import instantiate
 from rbtm_bench.runs.grid import make_points
 from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.selection.rbtm import Rbtm

@@ -9,7 +9,7 @@ from rbtm_bench.backends.base import Alignment, Backend, MapLimits, Placed, Prep
 from rbtm_bench.core.geometry import inverse, se2, se3, transform
 from rbtm_bench.core.types import Array, Node, Scan
 from rbtm_bench.odometry.loop import odometry
-from rbtm_bench.runs import experiment
+from rbtm_bench.runs import assembly
 from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.selection.window import Window
 from rbtm_bench.target.running_map import RunningVoxelMap
@@ -141,7 +141,7 @@ def test_libraries_maps_of_their_own(name: str, world: str) -> None:
     scene = WORLDS[world]
     words = [f"backend={name}", "registration.max_correspondence_distance=0.5"]
     words += ["backend.map_voxel_size=0.2"] if name == "kiss_icp" else []
-    backend = experiment.build(compose_settings(words).config["backend"])
+    backend = assembly.build(compose_settings(words).config["backend"])
     window = Window(10)
     poses = [se2(0.05 * i, 0.02 * i, 0.02 * i) for i in range(5)]
     scans = [scene.scan(scene.start @ T, i, 0.0) for i, T in enumerate(poses)]
@@ -182,7 +182,7 @@ def final_error(words: list[str]) -> float:
     from rbtm_bench.backends.system import System
     from rbtm_bench.odometry.system import system_odometry
 
-    parts = experiment.instantiate(compose_settings(words))
+    parts = assembly.instantiate(compose_settings(words))
     scans: list[Scan] = list(parts.dataset)
     is_system = isinstance(parts.method, System)
     run = system_odometry if is_system else odometry
