@@ -30,16 +30,9 @@ from rbtm_bench.odometry.result import Odometry
 from rbtm_bench.odometry.system import system_odometry
 from rbtm_bench.pairs.shared import SharedDataset
 from rbtm_bench.report import frame, screen
-from rbtm_bench.runs import (
-    assembly,
-    evaluation,
-    experiment,
-    first_part,
-    keywords,
-    replicate,
-    stored,
-)
+from rbtm_bench.runs import assembly, evaluation, first_part, keywords, replicate, stored
 from rbtm_bench.runs.claim import default_folder
+from rbtm_bench.runs.experiment import BLOCK
 from rbtm_bench.runs.plugins import is_system
 from rbtm_bench.runs.settings import Settings, compose_settings
 from rbtm_bench.runs.words import as_typed, data_words
@@ -178,7 +171,7 @@ def odometry(
         raise ConfigError("selector.threshold=auto looks at the data first: expected a Dataset")
     known = first_part.determined(config, SharedDataset(dataset, 0.0), assembly.method_of)
     method = assembly.method_of(first_part.filled(config, known.values), given)
-    block = 1 if is_stream or given else experiment.BLOCK
+    block = 1 if is_stream or given else BLOCK
     return Odometry(loop.odometry(every, method, block=block))
 
 

@@ -26,7 +26,7 @@ commands
   diff      what differs between two runs:  rbtm-bench diff RUN RUN
   plot      runs as figures:     rbtm-bench plot results/compare
   gate      may a change pass?   rbtm-bench gate results/new --baseline results/main
-  export    a run as csv, parquet or tum:  rbtm-bench export results/compare/NAME --to csv
+  export    a run as csv, parquet, tum, g2o:  rbtm-bench export results/compare/NAME --to csv
   new       a plug-in of your own, begun:  rbtm-bench new selector NAME
   similarity scores of all pairs:  rbtm-bench similarity dataset.environment=l_turn --matrix
   calibrate   error against similarity, the threshold to use:  rbtm-bench calibrate --success 0.95

@@ -230,7 +230,8 @@ def equals(methods: Sequence[MethodRuns]) -> list[str]:
     for method in methods:
         is_other = method.row["backend"] != "none" and not rotation.is_previous(method.row)
         if is_other and (known := _trajectories(method)):
-            groups.setdefault((method.row["data"], known), []).append(method)
+            loops = method.runs[0].choices.get("loops")  # closed afterwards: not of this path
+            groups.setdefault((method.row["data"], loops, known), []).append(method)
     lines = []
     for group in groups.values():
         if len(group) > 1:
@@ -268,6 +269,8 @@ def _next(methods: Sequence[MethodRuns], where: str) -> str:
     typed = shlex.split(str(runs[0].record.get("command") or ""))
     words = [w for w in typed[2:] if not w.startswith(("out=", "--resume", "overwrite="))]
     kind = typed[1] if len(typed) > 1 else ""
+    if kind == "run" and any(w.startswith("+experiment") for w in words):  # it names the selector
+        return shlex.join(["rbtm-bench", "compare", *words, "replicates=10"])
     if kind == "run":
         words = [w for w in words if not w.startswith("selector=")]
         own = runs[0].choices.get("selector")

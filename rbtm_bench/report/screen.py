@@ -23,6 +23,8 @@ LONG = 30
 """Rows of a table from which on it is written, not printed."""
 NAMED = 2
 """Runs or folders that a line names at most."""
+SPANNING = 4
+"""Replicates from which on a run outside their range is worth a line."""
 REASONS = 5
 """Reasons of failure that are listed at most."""
 
@@ -174,7 +176,7 @@ def replicates_outside(methods: Sequence[MethodRuns]) -> list[str]:
     for method in methods:
         key = next((k for k, _, _ in best_settings.ERRORS if f"{k}_q1" in method.row), None)
         over = spread(method.runs, key) if key else None
-        if over is not None and over.outside:
+        if over is not None and over.distinct >= SPANNING and over.outside:
             lone, ends = over.unperturbed, (over.best, over.worst)
             assert lone is not None
             low, high = map(render.three_digits, ends)
