@@ -32,6 +32,7 @@ ELSEWHERE = {
     "python scripts/make_reference.py": "studies/test_make_reference.py",
     "python scripts/benchmarks/kill_sweep.py": "engine/test_stopped_sweeps.py",
     "python scripts/benchmarks/bench_": "end_to_end/test_benchmarks.py",
+    "python scripts/benchmarks/best.py": "end_to_end/test_recipes.py",
     "python scripts/benchmarks/cases.py": "datasets/test_cases.py",
     "python scripts/benchmarks/placebo.py": "report/test_placebo.py",
     "python scripts/benchmarks/nothing_matches.py": "odometry/test_nothing_matches.py",

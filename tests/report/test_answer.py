@@ -140,3 +140,12 @@ def test_ranked_marks_one_row_a_data_set() -> None:
     assert marked["won"].tolist() == ["*", "", "*", ""]
     assert marked["selector"].tolist() == ["rbtm", "oracle", "rbtm", "previous"]
     assert best_settings.ranked(marked) is marked
+
+
+def test_what_follows_a_recipe_is_the_recipe_with_replicates(tmp_path: Path) -> None:
+    """Not other selectors: it has set the one that it names."""
+    told = {"command": "rbtm-bench run a.clf +experiment=best_2d out=x"}
+    make_run(tmp_path / "a", "keyframe", {MM: 10.0}, told=told)
+    methods = frame.methods(stored.find_runs([tmp_path]))
+    last = answer.answer(methods, str(tmp_path))[-1]
+    assert last == "next: rbtm-bench compare a.clf +experiment=best_2d replicates=10"

@@ -1,0 +1,93 @@
+"""The recipe `+experiment=best_2d` on the three logs, without and with loops, by replicates.
+
+    python scripts/benchmarks/best.py $RBTM_BENCH_DATA --out results/best
+
+Runs what is missing in OUT and writes `best.md` there: each row with its command, the recipe's
+digest, and whether the log chose the recipe (tuned) or not (held out). Half an hour on two cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import subprocess
+import sys
+from pathlib import Path
+
+from rbtm_bench.core.files import write_text
+from rbtm_bench.report.frame import methods
+from rbtm_bench.report.render import three_digits
+from rbtm_bench.report.replicates import spread
+from rbtm_bench.runs import stored
+
+RECIPE = Path(__file__).parents[2] / "configs/experiment/best_2d.yaml"
+LOGS = {"aces": "tuned", "mit-csail": "tuned", "intel": "held out"}
+MEAN, LOOPED = "relations_translation_mean_m", "looped_relations_translation_mean_m"
+SHOWN = (
+    ("all relations, m", MEAN),
+    ("all, deg", "relations_rotation_mean_deg"),
+    ("local, m", "relations_local_translation_mean_m"),
+    ("long, m", "relations_long_translation_mean_m"),
+    ("with loops: all, m", LOOPED),
+    ("with loops: deg", "looped_relations_rotation_mean_deg"),
+    ("with loops: long, m", "looped_relations_long_translation_mean_m"),
+)
+COSTS = (("ms a scan", "ms_per_scan"), ("ms a scan for loops", "loops_ms_per_scan"))
+
+
+def words(log: Path, replicates: int, out: Path) -> list[str]:
+    """The command of a log's row."""
+    own = ["loops=position", f"replicates={replicates}", "controls=none", "pictures=false"]
+    return ["compare", str(log), "+experiment=best_2d", *own, f"out={out}"]
+
+
+def row(folder: Path) -> list[str]:
+    """The numbers of a log: medians over the distinct replicates."""
+    (method,) = methods(stored.find_runs([folder]))
+    cells = []
+    for _, key in SHOWN:
+        over = spread(method.runs, key)
+        if over is None:
+            cells.append("-")
+            continue
+        middle, q1, q3, worst = map(three_digits, (over.median, over.q1, over.q3, over.worst))
+        as_is = "-" if over.unperturbed is None else three_digits(over.unperturbed)
+        cells.append(f"{middle} [{q1} - {q3}], worst {worst}, as it is {as_is}")
+    return [*cells, *(three_digits(float(method.row[key])) for _, key in COSTS)]
+
+
+def main() -> None:
+    """Run what is missing, write the page."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("data", type=Path, help="the folder with freiburg/")
+    parser.add_argument("--out", type=Path, default=Path("results/best"))
+    parser.add_argument("--replicates", type=int, default=10)
+    parser.add_argument("--logs", default=",".join(LOGS), help="some of: %(default)s")
+    options = parser.parse_args()
+    table = []
+    for log in options.logs.split(","):
+        folder = options.out / log
+        own = words(options.data / "freiburg" / f"{log}.clf.gz", options.replicates, folder)
+        command = ["compare", "--resume", str(folder)] if (folder / "sweep.json").exists() else own
+        subprocess.run([sys.executable, "-m", "rbtm_bench", *command], check=True)
+        table.append([log, LOGS[log], *row(folder)])
+    head = ["log", "", *(name for name, _ in (*SHOWN, *COSTS))]
+    lines = [
+        "# best_2d on the three logs",
+        "",
+        f"Medians [quartiles] over {options.replicates} replicates (distinct trajectories), the "
+        "worst, and the run on the data as they are. *Tuned*: the recipe was chosen on this log; "
+        "*held out*: it was not.",
+        "",
+        *("| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *table)),
+        "",
+        "    rbtm-bench " + " ".join(words(Path("LOG.clf.gz"), options.replicates, Path("DIR"))),
+        "",
+        f"Recipe: sha256 {hashlib.sha256(RECIPE.read_bytes()).hexdigest()[:12]} of {RECIPE.name}.",
+    ]
+    write_text(options.out / "best.md", "\n".join(lines) + "\n")
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()
