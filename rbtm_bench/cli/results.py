@@ -277,7 +277,7 @@ def _print_statistics(
         rows = rows[render.existing_columns(rows, options.columns)]
     elif options.format == "text":
         descriptive = [*frame.METHOD, "seeds", "status", "unit", "reference", "reference_status"]
-        descriptive += ["metric"]
+        descriptive += ["metric", *held_out.CHOICE_COLUMNS]
         numbers = [c for c in rows if c not in descriptive]
         rows, same = render.screen_table(rows, list(rows), [*render.ALWAYS, *numbers])
         notes = [f"the same in every row: {same}", *notes] if same else notes

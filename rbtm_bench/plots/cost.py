@@ -108,7 +108,8 @@ def _names(
     ax: Axes, data: Data, points: Sequence[CostPoint], best: Sequence[CostPoint]
 ) -> tuple[list[Label], str]:
     """What to write beside which points, and a note on it for the title."""
-    if len(data.panels) == 1 and len(set(data.methods.values())) == 1:  # settings of one selector
+    lone = len(data.panels) == 1 and len(set(data.methods.values())) == 1
+    if lone and len(points) <= FEW:  # settings of one selector
         selector = next(iter(data.methods.values()))
         own = {p: p.method.removeprefix(f"{selector}, ") for p in points}
         return [Label(name, ((p.time, p.error),)) for p, name in own.items()], ""

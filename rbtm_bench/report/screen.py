@@ -133,6 +133,7 @@ def with_same(table: pd.DataFrame, columns: Sequence[str], keep: Sequence[str]) 
     keep = (*keep, *best_settings.main_errors(table))
     table, columns, keep = _with_spread(table, [render.WINNER, *columns], keep)
     shown, same = render.screen_table(table, columns, keep)
+    keep = (*keep, "status") if "status" in shown and table["status"].nunique() > 1 else keep
     lines = render.fitted(shown, (*keep, *frame.METHOD))  # what tells the rows apart stays
     notes = [f"the same in every row: {same}"] if same else []
     seeds = int(table["seeds"].max()) if table["seeds"].notna().any() else 1

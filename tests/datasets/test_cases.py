@@ -229,6 +229,7 @@ def test_runs_on_clouds(cases_dir: Path, tmp_path: Path, name: str) -> None:
 )
 def test_runs_on_logs(cases_dir: Path, tmp_path: Path, name: str, right: float) -> None:
     words = [str(cases_dir / name), "backend=open3d_p2plane", "selector=keyframe"]
+    words += ["selector.distance=0.3"]
     metrics = final(words, tmp_path / "out")
     assert metrics["relations_translation_mean_m"] == pytest.approx(right, abs=1e-4)
     assert metrics["relations_used"] == 10

@@ -17,6 +17,8 @@ FOLDER = config_dir() / "experiment"
 EXPERIMENTS = sorted(path.stem for path in FOLDER.glob("*.yaml"))
 JOBS = {
     "aces_backends": 20,
+    "best_2d": 1,
+    "best_3d": 1,
     "corridor_grid": 84,
     "overnight": 1800,
     "overnight_controls": 1800,
