@@ -125,7 +125,10 @@ def _world(
 
 
 def _step(points: Array) -> float:
-    """The smallest distance (m) of different coordinates along the axis that is coarsest."""
+    """The smallest distance (m) of different coordinates along the axis that is coarsest, of
+    numbers that single precision holds; 0 of others, which are finer than that."""
+    if not np.array_equal(points, points.astype(np.float32)):
+        return 0.0
     steps = [np.diff(np.unique(points[:, axis])) for axis in range(3)]
     return max((float(step.min()) for step in steps if len(step)), default=0.0)
 

@@ -56,7 +56,7 @@ def write_compressed(path: Path, points: Array) -> None:
 # --- what is read ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", [s for s in SUFFIXES if s not in (".las", ".laz")])
 def test_every_format_reads_the_same(tmp_path: Path, suffix: str) -> None:
     write_cloud(tmp_path / f"a{suffix}", POINTS)
     scan = CloudFolder(str(tmp_path))[0]

@@ -147,7 +147,9 @@ def test_a_documented_command_works(command: str, folder: Path, tmp_path: Path) 
     name, *words = shlex.split(command)[1:]
     if name in RUNS:
         words = [word for word in words if not word.startswith(("seed=", "out="))]
-        words += [] if "--resume" in words else ["controls=none"]  # 22 runs more each: tests/engine/test_beside.py
+        words += (
+            [] if "--resume" in words else ["controls=none"]
+        )  # 22 runs more each: tests/engine/test_beside.py
     if name in (*RUNS, "similarity", "calibrate"):
         kind = next((w.split("=")[1] for w in words if w.startswith("dataset=")), "corridor")
         words += SMALL[kind] if name != "calibrate" else ()

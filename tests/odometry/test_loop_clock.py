@@ -11,7 +11,7 @@ from loop_helpers import NAN, Pair, Perfect, Script, drive, method
 from rbtm_bench.backends.base import Prepared
 from rbtm_bench.check.base import Check
 from rbtm_bench.core.types import Array, RegistrationResult, Scan, Step
-from rbtm_bench.odometry import loop
+from rbtm_bench.odometry import attempt, loop
 from rbtm_bench.odometry import method as method_module
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.odometry.method import Method, Work
@@ -33,7 +33,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
-    for module in (loop, method_module):
+    for module in (loop, attempt, method_module):
         monkeypatch.setattr(module, "time", SimpleNamespace(perf_counter=made))
     return made
 
