@@ -226,8 +226,14 @@ def _method(run: Run) -> dict[str, Any]:
     return {
         "backend": run.record["choices"]["backend"],
         "selector": run.record["choices"]["selector"],
-        "settings": " ".join([*_settings(run.section("selector")), *_source(run)]) or NO_SETTINGS,
+        "settings": " ".join([*_settings(_acting(run)), *_source(run)]) or NO_SETTINGS,
     }
+
+
+def _acting(run: Run) -> dict[str, Any]:
+    """The selector's settings but those that do nothing beside the others."""
+    idle = run.record.get("idle") or ()
+    return {k: v for k, v in run.section("selector").items() if f"selector.{k}" not in idle}
 
 
 def _source(run: Run) -> list[str]:
