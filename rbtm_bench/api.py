@@ -275,7 +275,7 @@ def compare(
     DataFrame
         A row a run, as ``load_runs`` gives it; one that failed says so in ``status`` and
         ``reason``. ``attrs["out"]`` is the folder (default: a new one in results/compare), with
-        table.csv and summary.csv; ``rbtm-bench compare --resume`` goes on with it.
+        table.csv and summary.csv; ``compare --resume`` goes on with it.
 
     Raises
     ------

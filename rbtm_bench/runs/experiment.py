@@ -162,7 +162,7 @@ def _refuse_changes(parts: Parts, settings: Settings) -> None:
 def _refuse_dead(parts: Parts, record: dict[str, Any]) -> None:
     """Raise ``RunError`` if a method that is no baseline has registered no scan at all."""
     method = parts.method if isinstance(parts.method, System) else parts.method.backend
-    asked = len(parts.dataset) - 1
+    asked = len(parts.dataset) - 1 - record["still"]  # a robot that stands asks for nothing
     if asked < 1 or record["registered"] or getattr(method, "is_baseline", False):
         return
     why = one_line(record["why_unregistered"], 200)
@@ -221,6 +221,7 @@ def _execute(
         write_pictures(dataset, parts.method, estimate, settings.config["map_resolution"], out)
     return {
         "seconds": seconds,
+        "still": steps["status"].count("still"),
         "registered": sum(status in REGISTERED for status in steps["status"]),
         "why_unregistered": why_unregistered(steps),
         "trajectory_sha256": evaluation.checksum(estimate, dataset.scored_from),
