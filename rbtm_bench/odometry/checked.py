@@ -65,23 +65,22 @@ def descriptors(similarity: Similarity, scans: Sequence[Scan]) -> Descriptor:
 
 def motion(guess: Guess, given: Any) -> Array:
     """A guess (4, 4), a copy: a plug-in may fill one array again."""
-    if _is_ours(type(guess)):
-        return given
-    T = np.array(given)
-    if T.dtype.kind not in "fiu" or not is_rigid(T, tolerance=1e-5):
-        what = f"{T.dtype.name} of shape {T.shape}"
-        raise ValueError(f"{type(guess).__name__}.predict returned {what}, no rigid motion (4, 4)")
-    return T.astype(np.float64, copy=False)
+    return given if _is_ours(type(guess)) else _rigid(given, f"{type(guess).__name__}.predict")
 
 
 def start(recovery: Recovery, given: Any) -> Array:
-    """Where a restart begins (4, 4)."""
+    """Where a restart begins (4, 4), a copy."""
     if _is_ours(type(recovery)):
         return given
+    return _rigid(given, f"{type(recovery).__name__}.restarts")
+
+
+def _rigid(given: Any, name: str) -> Array:
+    """A copy in float64 of the motion (4, 4) that ``name`` returned."""
     T = np.array(given)
     if T.dtype.kind not in "fiu" or not is_rigid(T, tolerance=1e-5):
         what = f"{T.dtype.name} of shape {T.shape}"
-        raise ValueError(f"{type(recovery).__name__}.restarts gave {what}, no rigid motion (4, 4)")
+        raise ValueError(f"{name} returned {what}, no rigid motion (4, 4)")
     return T.astype(np.float64, copy=False)
 
 
