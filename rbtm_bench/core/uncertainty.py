@@ -27,6 +27,9 @@ FLOOR_M, FLOOR_RAD, FLOOR_SHARE = 0.005, 0.002, 0.01
 matched point as if its error were its own; calibration errors, moved furniture and the shape of
 walls are common to all of them. Chosen on ACES and MIT CSAIL."""
 
+ODOMETRY_M, ODOMETRY_RAD, ODOMETRY_SHARE = 0.01, 0.005, 0.1
+"""What wheel odometry is unsure of: m, rad, and of its motion."""
+
 InformationFrom = Literal["own", "localizability"]
 
 PLANE, SPACE = [0, 1, 5], [0, 1, 2, 3, 4, 5]
@@ -62,6 +65,16 @@ def edge_covariance(
     within = symmetric((vectors * variance) @ vectors.T)
     covariance[np.ix_(axes, axes)] = within / np.outer(scale, scale)
     return covariance
+
+
+def odometry_covariance(T: Array, planar: bool) -> Array:
+    """The covariance (6, 6) of a motion that odometry alone measured."""
+    m = ODOMETRY_M + ODOMETRY_SHARE * float(translation_norm(T))
+    rad = ODOMETRY_RAD + ODOMETRY_SHARE * float(rotation_angle(T))
+    std = np.array([m, m, m, rad, rad, rad])
+    if planar:
+        std[[2, 3, 4]] = 0.0
+    return np.diag(std**2)
 
 
 def inflated(covariance: Array, T: Array, planar: bool) -> Array:

@@ -83,7 +83,7 @@ def _descend(
     damping, steps, converged = FIRST_DAMPING, 0, False
     cost, scale = _cost(graph, phi)
     while steps < iterations and not converged and damping <= MOST_DAMPING:
-        H, g = _normal_equations(graph, scale)
+        H, g = normal_equations(graph, scale)
         while damping <= MOST_DAMPING:
             trial = graph.at(_stepped(graph, H, g, damping))
             new_cost, new_scale = _cost(trial, phi)
@@ -112,8 +112,9 @@ def _chi2(graph: PoseGraph) -> Array:
     return ((graph.weights() @ e[:, :, None])[:, :, 0] * e).sum(axis=1)
 
 
-def _normal_equations(graph: PoseGraph, scale: Array) -> tuple[csc_matrix, Array]:
-    """H and g of H d = -g, the first node left out."""
+def normal_equations(graph: PoseGraph, scale: Array) -> tuple[csc_matrix, Array]:
+    """H and g of H d = -g at the graph's poses, each edge with its ``scale`` (E,), the first node
+    held: left out."""
     e, by_model, by_scan = graph.linearised()
     weights = graph.weights() * (scale**2)[:, None, None]
     size, count = len(graph.axes), len(graph.scans)

@@ -4,23 +4,22 @@ from __future__ import annotations
 
 import time
 from abc import abstractmethod
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
+from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.types import Array
+from rbtm_bench.core.uncertainty import odometry_covariance
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.graph.optimise import optimise
 from rbtm_bench.graph.pose_graph import PoseGraph
 from rbtm_bench.loops.base import Closing, Loops, Route
+from rbtm_bench.loops.certainty import Certainty
 from rbtm_bench.loops.track import Places, Track
 from rbtm_bench.loops.verify import Limits, Loop, Pair, Verifier
 from rbtm_bench.odometry.method import Work
-
-WHEELS_M, WHEELS_RAD, WHEELS_SHARE = 0.01, 0.005, 0.1
-"""What odometry is unsure of between keyframes: m, rad, and of the motion."""
 
 
 class GraphLoops(Loops):
@@ -49,7 +48,8 @@ class GraphLoops(Loops):
     def pairs(
         self, track: Track, T_world_scan: Array, tried: Collection[Pair], closed: Places
     ) -> list[Pair]:
-        """Pairs of keyframes to verify, none of them ``tried``, in order: the model the older one.
+        """Pairs of keyframes to verify, none of them ``tried``, of each scan the best first: the
+        model the older one.
         ``T_world_scan`` (K, 4, 4) are the best poses of the keyframes so far, ``closed`` (L,) the
         keyframes at an end of a loop that is believed."""
 
@@ -67,15 +67,10 @@ class GraphLoops(Loops):
         best = graph_of(track, dataset, ())
         scale = np.ones(len(best.ends))
         for _ in range(self.rounds):
-            poses, before = best.T_world_scan[track.keyframes], len(loops)
-            closed = np.unique(np.array(list(loops), dtype=np.int64))
-            has_loop = {pair.scan for pair in loops}
-            for pair in self.pairs(track, poses, tried, closed):
-                if pair.scan in has_loop:
-                    continue
+            before = len(loops)
+            for pair, T_path, unsure in self._open(track, best, scale, loops, tried, verifier):
                 tried[pair] = None
-                T_guess = inverse(poses[pair.model]) @ poses[pair.scan]
-                outcome = verifier.verified(pair, T_guess)
+                outcome = verifier.verified(pair, T_path, unsure)
                 if isinstance(outcome, Loop):
                     loops[pair] = outcome
             if len(loops) == before:
@@ -87,6 +82,35 @@ class GraphLoops(Loops):
         rejected = len(tried) - len(loops)
         return Closing(best.T_world_scan, best, len(tried), len(loops), rejected, off, seconds)
 
+    def _open(
+        self,
+        track: Track,
+        best: PoseGraph,
+        scale: Array,
+        loops: Mapping[Pair, Loop],
+        tried: Collection[Pair],
+        verifier: Verifier,
+    ) -> Iterator[tuple[Pair, Array, Array]]:
+        """The pairs to look at with the poses so far, at most one a scan: those whose motion is
+        known well enough for a search to reach what it may be. The others wait for better poses.
+        """
+        poses = best.T_world_scan[track.keyframes]
+        counted = scale[best.may_be_wrong] >= 0.5
+        believed = [loop for loop, counts in zip(loops.values(), counted, strict=True) if counts]
+        closed = np.unique(np.array(list(loops), dtype=np.int64))
+        pairs = [
+            p
+            for p in self.pairs(track, poses, tried, closed)
+            if p.scan not in {q.scan for q in loops}
+        ]
+        asked: set[int] = set()
+        for pair, unsure in zip(
+            pairs, Certainty(track, poses, believed).between(pairs), strict=True
+        ):
+            if pair.scan not in asked and verifier.reaches(unsure):
+                asked.add(pair.scan)
+                yield pair, inverse(poses[pair.model]) @ poses[pair.scan], unsure
+
 
 def graph_of(track: Track, dataset: Dataset, loops: Sequence[Loop]) -> PoseGraph:
     """The graph of a run's edges and of loops; with loops also of odometry between keyframes,
@@ -96,7 +120,7 @@ def graph_of(track: Track, dataset: Dataset, loops: Sequence[Loop]) -> PoseGraph
         for model, scan, T in _wheels(track, dataset):
             ends.append(np.array([model, scan]))
             motions.append(T)
-            covariances.append(_unsure_wheels(T))
+            covariances.append(odometry_covariance(T, track.planar))
     certain = len(ends)
     for loop in loops:
         ends.append(track.keyframes[[loop.pair.model, loop.pair.scan]])
@@ -126,9 +150,3 @@ def _wheels(track: Track, dataset: Dataset) -> list[tuple[int, int, Array]]:
         for k, (one, other) in enumerate(pairwise(known))
         if one is not None and other is not None
     ]
-
-
-def _unsure_wheels(T: Array) -> Array:
-    m = WHEELS_M + WHEELS_SHARE * float(translation_norm(T))
-    rad = WHEELS_RAD + WHEELS_SHARE * float(rotation_angle(T))
-    return np.diag(np.array([m, m, m, rad, rad, rad]) ** 2)

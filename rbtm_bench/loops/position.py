@@ -19,6 +19,9 @@ from rbtm_bench.loops.verify import Limits, Pair
 METRES_PER_RAD = 1.0
 """A turn between two keyframes counts as so much distance: most sensors look one way."""
 
+CHOICES = 5
+"""Candidates a keyframe: the motion to the nearest may be the least sure."""
+
 
 class PositionLoops(GraphLoops):
     """For every keyframe the nearest of the older ones that are no farther than the drift allows:
@@ -35,7 +38,7 @@ class PositionLoops(GraphLoops):
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
         apart_m: Annotated[float, Gt(0)] = 10.0,
         phi: Annotated[float, Gt(0)] = 5.0,
-        rounds: Annotated[int, Ge(1)] = 3,
+        rounds: Annotated[int, Ge(1)] = 10,
         verify: Limits | None = None,
     ) -> None:
         super().__init__(keyframe_distance, keyframe_angle_deg, apart_m, phi, rounds, verify)
@@ -59,5 +62,5 @@ class PositionLoops(GraphLoops):
             turn = rotation_angle(inverse(T_world_scan[models]) @ T_world_scan[scan])
             order = np.lexsort((models, distance + METRES_PER_RAD * turn))
             untried = (Pair(int(models[i]), scan) for i in order)
-            pairs += [pair for pair in untried if pair not in tried][:1]
+            pairs += [pair for pair in untried if pair not in tried][:CHOICES]
         return pairs

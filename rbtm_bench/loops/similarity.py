@@ -41,7 +41,7 @@ class SimilarityLoops(GraphLoops):
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
         apart_m: Annotated[float, Gt(0)] = 10.0,
         phi: Annotated[float, Gt(0)] = 5.0,
-        rounds: Annotated[int, Ge(1)] = 3,
+        rounds: Annotated[int, Ge(1)] = 10,
         verify: Limits | None = None,
     ) -> None:
         super().__init__(keyframe_distance, keyframe_angle_deg, apart_m, phi, rounds, verify)

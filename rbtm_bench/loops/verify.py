@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
@@ -48,16 +49,16 @@ class Loop(NamedTuple):
 @dataclass(frozen=True)
 class Limits:
     """What a loop must be. It is registered to the older keyframe and ``neighbours`` more on either
-    side, from the estimate and from the best fit of a search (within ``search_m``, ``search_deg``
-    and three sigmas of the path between the two). It is believed with a fitness of
-    ``min_fitness``, ``min_inliers``, a translation whose least held direction is held by
-    ``min_balance`` of the best held one, and at most ``gate`` sigmas from what the path says.
+    side, from the estimate and from the best fit of a search of three sigmas around it; where they
+    reach over ``search_m`` m or ``search_deg``, the pair waits for better poses. It is believed
+    with a fitness of ``min_fitness``, ``min_inliers``, a translation whose least held direction is
+    held by ``min_balance`` of the best held one, and at most ``gate`` sigmas from the estimate.
     ``information`` is where the covariance of edges comes from (``uncertainty.edge_covariance``).
     """
 
     neighbours: Annotated[int, Ge(0)] = 5
-    search_m: Annotated[float, Ge(0)] = 4.0
-    search_deg: Annotated[float, Ge(0)] = 25.0
+    search_m: Annotated[float, Ge(0)] = 8.0
+    search_deg: Annotated[float, Ge(0)] = 90.0
     min_fitness: ShareThreshold = 0.65
     min_inliers: Annotated[int, Ge(3)] = 40
     min_balance: ShareThreshold = 0.03
@@ -76,16 +77,25 @@ class Verifier:
         self._matcher = CorrelativeMatcher(CELL, BLUR) if track.planar else None
         self.reused_seconds = 0.0
 
-    def verified(self, pair: Pair, T_guess: Array) -> Loop | str:
-        """The loop, or why it is not believed. ``T_guess`` (4, 4) is the best estimate of its
-        motion. Registered from where a search around it finds the likeliest place; where that fits
-        but lies too far from the path, a second time, from the estimate itself."""
-        keyframes = self._track.keyframes
-        T_path, unsure = self._track.between(int(keyframes[pair.model]), int(keyframes[pair.scan]))
+    def reaches(self, unsure: Array) -> bool:
+        """Whether a search goes as far as a motion with that covariance (6, 6) may be off. If not,
+        what it would be given is the likeliest of the places that it may look at, which need not
+        be the right one: corridors repeat themselves."""
+        if self._matcher is None:
+            return True
+        std, limits = np.sqrt(np.diag(unsure)), self._limits
+        turn = math.radians(limits.search_deg)
+        return REACH * std[:2].max() <= limits.search_m and REACH * std[5] <= turn
+
+    def verified(self, pair: Pair, T_path: Array, unsure: Array) -> Loop | str:
+        """The loop, or why it is not believed. ``T_path`` (4, 4) is the best estimate of its
+        motion, with its covariance (6, 6). Registered from where a search around it finds the
+        likeliest place; where that fits but lies too far from the path, a second time, from the
+        estimate itself."""
         try:
             source, target = self._scan(pair.scan), self._target(pair.model)
             outcome: Loop | str = OFF_PATH
-            for T_start in (self._searched(source, target, T_guess, unsure), T_guess):
+            for T_start in (self._searched(source, target, T_path, unsure), T_path):
                 result = self._work.register(source, target, T_start)
                 self.reused_seconds += result.seconds if result.reused else 0.0
                 outcome = self._judged(pair, result, T_path, unsure)

@@ -9,8 +9,8 @@ import numpy as np
 
 from rbtm_bench.core.geometry import inverse, se2, se3, yaw
 from rbtm_bench.core.types import Array, Localizability, RegistrationResult
+from rbtm_bench.core.uncertainty import ODOMETRY_M, ODOMETRY_RAD, ODOMETRY_SHARE
 
-GUESS_STD, GUESS_TURN_STD, GUESS_SHARE = 0.01, 0.005, 0.1
 MATCH_STD, MATCHES_PER_MEASUREMENT = 0.03, 10
 """What ``fused`` takes for granted; ``weight`` scales all of it."""
 
@@ -41,8 +41,8 @@ def fused(result: RegistrationResult, T_guess: Array, weight: float) -> Registra
     guess's counts). Where the scan holds the motion the guess moves it by next to nothing; along
     a direction that it does not see, the guess stands.
 
-    The guess is taken to be off by ``GUESS_STD`` m and ``GUESS_SHARE`` of its distance, and by
-    ``GUESS_TURN_STD`` rad and the same share of its turn; a match by ``MATCH_STD`` m, of which one
+    The guess is taken to be off by ``ODOMETRY_M`` m and ``ODOMETRY_SHARE`` of its distance, and
+    by ``ODOMETRY_RAD`` rad and the same share of its turn; a match by ``MATCH_STD`` m, of which one
     in ``MATCHES_PER_MEASUREMENT`` counts, since neighbouring beams see the same surface.
     Fitness and RMSE stay those of the registration; without localizability it is kept as it is.
     """
@@ -52,8 +52,8 @@ def fused(result: RegistrationResult, T_guess: Array, weight: float) -> Registra
     planar, scale = _scale(held)
     step = _vector(T_guess, planar)
     turns = slice(2, 3) if planar else slice(3, 6)
-    std = np.full(len(scale), GUESS_STD + GUESS_SHARE * float(np.linalg.norm(T_guess[:3, 3])))
-    turn = GUESS_TURN_STD + GUESS_SHARE * float(np.linalg.norm(step[turns]))
+    std = np.full(len(scale), ODOMETRY_M + ODOMETRY_SHARE * float(np.linalg.norm(T_guess[:3, 3])))
+    turn = ODOMETRY_RAD + ODOMETRY_SHARE * float(np.linalg.norm(step[turns]))
     std[turns] = turn * held.lever
     prior = np.diag(weight / std**2)
     measured = held.matrix * (result.inliers / (MATCHES_PER_MEASUREMENT * MATCH_STD**2))

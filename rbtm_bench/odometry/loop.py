@@ -16,7 +16,7 @@ import numpy as np
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.types import Array, Edge, Node, RegistrationResult, Scan, Step, StepRecord
-from rbtm_bench.core.uncertainty import chained, edge_covariance, inflated
+from rbtm_bench.core.uncertainty import chained, edge_covariance, inflated, odometry_covariance
 from rbtm_bench.odometry import checked, rows
 from rbtm_bench.odometry.attempt import attempt
 from rbtm_bench.odometry.chain import PoseChain
@@ -260,7 +260,12 @@ def _predict(scan: Scan, recent: Sequence[Node], work: Work) -> Edge:
     T = work.predict(recent[-1], scan, recent)
     covariance = None
     if work.method.covariance_from is not None:
-        covariance = edge_covariance(None, scan.planar)
+        by_odometry = work.method.guess.needs_odometry
+        covariance = (
+            odometry_covariance(T, scan.planar)
+            if by_odometry
+            else edge_covariance(None, scan.planar)
+        )
     return Edge(recent[-1].scan, scan.index, T, kind="predicted", covariance=covariance)
 
 

@@ -1,9 +1,12 @@
 """The recipe `+experiment=best_2d` on the three logs, without and with loops, by replicates.
 
     python scripts/benchmarks/best.py $RBTM_BENCH_DATA --out results/best
+    python scripts/benchmarks/best.py $RBTM_BENCH_DATA --out results/best --without
 
 Runs what is missing in OUT and writes `best.md` there: each row with its command, the recipe's
 digest, and whether the log chose the recipe (tuned) or not (held out). Half an hour on two cores.
+`--without` writes `without.md` instead: the recipe without each of its parts, on the logs that it
+was chosen on.
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ import argparse
 import hashlib
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from rbtm_bench.core.files import write_text
@@ -32,13 +36,36 @@ SHOWN = (
     ("with loops: deg", "looped_relations_rotation_mean_deg"),
     ("with loops: long, m", "looped_relations_long_translation_mean_m"),
 )
+WITHOUT: dict[str, list[str]] = {
+    "the recipe": [],
+    "without the search": ["search=none"],
+    "without older keyframes": ["target.older=0"],
+    "one keyframe as target": ["target.older=0", "target.keyframes=1"],
+    "without the check": [
+        *("check.min_fitness=0", "check.max_translation=1000", "check.max_rotation_deg=180"),
+    ],
+    "without the motion filter": ["motion_filter.distance=0"],
+    "without the prior": ["guess_weight=null"],
+    "guess=odometry": ["guess=odometry"],
+    "without trimming": [
+        *("backend.outliers_max_percent=1", "backend.outliers_adaptive_multiplier=1000"),
+        "backend.outliers_refine_multiplier=0",
+    ],
+}
 COSTS = (("ms a scan", "ms_per_scan"), ("ms a scan for loops", "loops_ms_per_scan"))
 
 
-def words(log: Path, replicates: int, out: Path) -> list[str]:
+def words(log: Path, replicates: int, out: Path, changes: Sequence[str]) -> list[str]:
     """The command of a log's row."""
-    own = ["loops=position", f"replicates={replicates}", "controls=none", "pictures=false"]
-    return ["compare", str(log), "+experiment=best_2d", *own, f"out={out}"]
+    own = [f"replicates={replicates}", "controls=none", "pictures=false"]
+    return ["compare", str(log), "+experiment=best_2d", *changes, *own, f"out={out}"]
+
+
+def run(log: Path, replicates: int, out: Path, changes: Sequence[str]) -> None:
+    """Run what is missing of it."""
+    own = words(log, replicates, out, changes)
+    command = ["compare", "--resume", str(out)] if (out / "sweep.json").exists() else own
+    subprocess.run([sys.executable, "-m", "rbtm_bench", *command], check=True)
 
 
 def row(folder: Path) -> list[str]:
@@ -63,13 +90,15 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/best"))
     parser.add_argument("--replicates", type=int, default=10)
     parser.add_argument("--logs", default=",".join(LOGS), help="some of: %(default)s")
+    parser.add_argument("--without", action="store_true", help="leave out one part after another")
     options = parser.parse_args()
+    if options.without:
+        without(options)
+        return
     table = []
     for log in options.logs.split(","):
-        folder = options.out / log
-        own = words(options.data / "freiburg" / f"{log}.clf.gz", options.replicates, folder)
-        command = ["compare", "--resume", str(folder)] if (folder / "sweep.json").exists() else own
-        subprocess.run([sys.executable, "-m", "rbtm_bench", *command], check=True)
+        path, folder = options.data / "freiburg" / f"{log}.clf.gz", options.out / log
+        run(path, options.replicates, folder, ["loops=position"])
         table.append([log, LOGS[log], *row(folder)])
     head = ["log", "", *(name for name, _ in (*SHOWN, *COSTS))]
     lines = [
@@ -81,11 +110,33 @@ def main() -> None:
         "",
         *("| " + " | ".join(cells) + " |" for cells in (head, ["---"] * len(head), *table)),
         "",
-        "    rbtm-bench " + " ".join(words(Path("LOG.clf.gz"), options.replicates, Path("DIR"))),
+        "    rbtm-bench "
+        + " ".join(words(Path("LOG.clf.gz"), options.replicates, Path("DIR"), ["loops=position"])),
         "",
         f"Recipe: sha256 {hashlib.sha256(RECIPE.read_bytes()).hexdigest()[:12]} of {RECIPE.name}.",
     ]
     write_text(options.out / "best.md", "\n".join(lines) + "\n")
+    print("\n".join(lines))
+
+
+def without(options: argparse.Namespace) -> None:
+    """The recipe without each of its parts: medians [quartiles] of the mean error (m)."""
+    tuned = [log for log in options.logs.split(",") if LOGS[log] == "tuned"]
+    lines = [f"| | {' | '.join(tuned)} |", "|" + " --- |" * (1 + len(tuned))]
+    for name, changes in WITHOUT.items():
+        cells = []
+        for log in tuned:
+            folder = options.out / f"{log}-{name.replace(' ', '-')}"
+            run(options.data / "freiburg" / f"{log}.clf.gz", options.replicates, folder, changes)
+            (method,) = methods(stored.find_runs([folder]))
+            over = spread(method.runs, MEAN)
+            if over is None:
+                cells.append("-")
+                continue
+            middle, q1, q3, worst = map(three_digits, (over.median, over.q1, over.q3, over.worst))
+            cells.append(f"{middle} [{q1} - {q3}], worst {worst}")
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+        write_text(options.out / "without.md", "\n".join(lines) + "\n")
     print("\n".join(lines))
 
 

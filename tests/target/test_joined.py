@@ -25,6 +25,7 @@ from rbtm_bench.similarity.curvature import Curvature
 from rbtm_bench.target.around_model import AroundModel
 from rbtm_bench.target.base import Target
 from rbtm_bench.target.keyframes import LastKeyframes
+from rbtm_bench.target.nearby_keyframes import NearbyKeyframes
 
 STEP = 0.1
 
@@ -80,6 +81,35 @@ def test_the_last_k_keyframes_whatever_the_model() -> None:
     assert numbered(target, 42, 43, Window(1)) == [30, 35, 40]
     assert numbered(target, 40, 43, Window(1, Keyframes(5 * STEP, 90.0))) == [30, 35, 40]
     assert numbered(LastKeyframes(20, 5 * STEP, 90.0), 42, 43, Window(1)) == list(range(0, 41, 5))
+
+
+@pytest.mark.parametrize(
+    ("older", "radius", "members"),
+    [
+        (0, 10.0, [30, 35, 40]),
+        (2, 10.0, [10, 25, 30, 35, 40]),  # 30 stands .3 m from 10, .5 from 25, .58 from 5 and 15
+        (9, 10.0, [0, 5, 10, 15, 20, 25, 30, 35, 40]),
+        (9, 0.4, [10, 30, 35, 40]),
+    ],
+)
+def test_older_keyframes_near_the_model(older, radius, members) -> None:
+    """40 scans out on a line and back beside it, a keyframe every 5."""
+    target = NearbyKeyframes(3, older, radius, 5 * STEP, 90.0)
+    window = Window(60)
+    past = target.window(window)
+    for scan in range(43):
+        x, y = (STEP * scan, 0.0) if scan <= 20 else (STEP * (40 - scan), 0.3)
+        points = np.full((6, 3), float(scan))
+        prepared = Prepared(points, True, None, ((scan, None),))
+        node = Node(scan, 0.0, se2(x, y, 0.0), prepared=prepared)
+        window.push(node)
+        past.push(node)
+    assert scans_of(target.build(30, past, Counting())) == members
+
+
+def test_what_is_forgotten_is_not_near() -> None:
+    target = NearbyKeyframes(3, 9, 10.0, 5 * STEP, 90.0, memory=5)
+    assert numbered(target, 42, 43, Window(1)) == [20, 25, 30, 35, 40]
 
 
 @pytest.mark.parametrize(
