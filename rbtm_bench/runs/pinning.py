@@ -12,6 +12,9 @@ import tempfile
 from pathlib import Path
 from typing import IO
 
+SEATS = 32
+"""Processes that a core is shared by before nobody counts them any more."""
+
 _held: list[IO[str]] = []
 _core: int | None = None
 
@@ -20,24 +23,28 @@ def pin_to_free_core() -> int | None:
     """Pin this process to one core that no other process of ours has claimed; return its number.
 
     A claim is a lock on a small file, held until the process ends, so that workers and separate
-    sweeps of one user spread over the machine. With more processes than cores, cores are shared.
+    sweeps of one user spread over the machine. With more processes than cores each core is claimed
+    a second time, and so on.
     Returns the same core when called again, and None where the platform cannot pin.
     """
     global _core
     if _core is not None or not hasattr(os, "sched_setaffinity"):
         return _core
     cores = sorted(os.sched_getaffinity(0))
-    _core = next((core for core in cores if _claim(core)), cores[os.getpid() % len(cores)])
+    seats = ((core, seat) for seat in range(SEATS) for core in cores)
+    _core = next(
+        (core for core, seat in seats if _claim(core, seat)), cores[os.getpid() % len(cores)]
+    )
     os.sched_setaffinity(0, {_core})
     return _core
 
 
-def _claim(core: int) -> bool:
-    """Try to lock a core's file."""
+def _claim(core: int, seat: int) -> bool:
+    """Try to lock the file of one of a core's seats."""
     try:
         folder = Path(tempfile.gettempdir()) / f"rbtm_bench-{os.getuid()}"
         folder.mkdir(mode=0o700, exist_ok=True)
-        lock = open(folder / f"core-{core}.lock", "a")  # noqa: SIM115 (held until exit)
+        lock = open(folder / f"core-{core}-{seat}.lock", "a")  # noqa: SIM115 (held until exit)
     except OSError:
         return False
     try:
