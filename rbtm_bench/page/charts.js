@@ -19,15 +19,15 @@ function drawScatter() {
     svg("text", { transform: `translate(14 ${(T + H - B) / 2}) rotate(-90)`, "text-anchor": "middle" }, `${title} (${unit})`));
   const front = paretoFront(points);
   out.append(svg("path", { d: front.map((p, i) => `${i ? `H${X(p.x)}V` : `M${X(p.x)} `}${Y(p.y)}`).join(""), fill: "none", stroke: css("--quiet"), "stroke-width": 1.2, "stroke-dasharray": "2 3" }));
-  for (const p of [...points].reverse()) out.append(scatterPoint(p, errorKey, unit, X, Y));
   let last = { x: -1e9, y: 0 };
   for (const p of front) {
     const at = { x: X(p.x), y: Y(p.y) - 10 };
     if (Math.abs(at.x - last.x) < 120 && Math.abs(at.y - last.y) < 15) continue;
     last = at;
     const left = at.x > W - 190;
-    out.append(svg("text", { class: "name", x: at.x + (left ? -9 : 9), y: at.y + 5, "text-anchor": left ? "end" : "start" }, clipped(DATA.rows[p.row].name, 34)));
+    out.append(svg("text", { class: "name", x: at.x + (left ? -11 : 11), y: at.y + 1, "text-anchor": left ? "end" : "start" }, clipped(shortName(p.row), 34)));
   }
+  for (const p of [...points].reverse()) out.append(scatterPoint(p, errorKey, unit, X, Y));
   byId("scatter").replaceChildren(out);
 }
 const clipped = (text, most) => (text.length > most ? `${text.slice(0, most - 1)}\u2026` : text);
@@ -77,7 +77,7 @@ function lineChart(canvas, series, options) {
     c.rect(chart.L - 4, 0, w - chart.L - chart.R + 8, h - chart.B + 4);
     c.clip();
     if (options.line != null) stroke(c, css("--ink"), 1.2, [6, 4], [[chart.L, Y(options.line)], [w - chart.R, Y(options.line)]]);
-    for (const s of series) drawSeries(c, s, X, Y);
+    for (const s of [...series].reverse()) drawSeries(c, s, X, Y);
     c.restore();
     for (const s of series) markScan(c, s, X, Y);
   });

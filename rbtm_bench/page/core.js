@@ -119,6 +119,7 @@ function logTicks(low, high) {
   const out = [];
   for (let e = Math.floor(Math.log10(low)); e <= Math.log10(high); e++) for (const f of [1, 2, 5]) out.push(f * 10 ** e);
   const inside = out.filter((v) => v >= low * 0.999 && v <= high * 1.001);
+  if (inside.length < 3) return ticks(low, high, 4);
   return inside.length > 7 ? inside.filter((v) => /^1(e|$)/.test(v.toExponential().replace("1.0", "1"))) : inside;
 }
 const tickText = (v) => (Math.abs(v) >= 1e5 || (v && Math.abs(v) < 1e-3) ? v.toExponential(0) : String(+v.toPrecision(6)).replace("-", "\u2212"));
@@ -128,6 +129,11 @@ const isDark = () => document.documentElement.dataset.theme === "dark";
 function colourOf(row) {
   const index = DATA.colours[DATA.rows[row].cells.backend];
   return index == null ? css("--quiet") : DATA.palette[isDark() ? "dark" : "light"][index];
+}
+// Backend and selector, with settings only where others share both.
+function shortName(row) {
+  const { cells, name } = DATA.rows[row], alike = (r) => ["data", "backend", "selector"].every((k) => r.cells[k] === cells[k]);
+  return DATA.rows.filter(alike).length > 1 ? name : `${cells.backend} ${cells.selector}`;
 }
 const lookOf = (row) => DATA.looks[DATA.rows[row].cells.selector] || { marker: "o", dashes: [], filled: true };
 const letterOf = (row) => String.fromCharCode(65 + state.picked.indexOf(row));
@@ -196,7 +202,7 @@ function onCanvas(canvas, draw) {
   const w = Math.max(1, Math.round(box.width)), h = Math.max(1, Math.round(box.height));
   canvas.width = w * ratio;
   canvas.height = h * ratio;
-  const context = canvas.getContext("2d");
+  const context = canvas.getContext("2d", { willReadFrequently: canvas.id === "plane" });
   context.scale(ratio, ratio);
   context.font = "12px system-ui, 'DejaVu Sans', sans-serif";
   context.fillStyle = css("--card");

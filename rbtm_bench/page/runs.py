@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,7 @@ class Track:
     def __len__(self) -> int:
         return len(self.paths.estimate)
 
-    @property
+    @cached_property
     def models(self) -> NDArray[np.int64]:
         """The model scan of every scan (N,), -1 without."""
         return np.array([-1 if m is None else m for m in self.steps["model"]], dtype=np.int64)

@@ -111,7 +111,7 @@ function drawPair(i) {
   const guess = choices?.guess && i ? poseOf(choices.guess, run.n, i, run.planar) : null;
   const move = (M) => own && M && own.map((p) => apply(M, p));
   const first = !view.pair || view.pair.target == null;
-  view.pair = { target, before: move(guess), after: move(T), pose: T };
+  view.pair = { own, target, before: move(guess), after: move(T), pose: T };
   const words = [
     scene?.note, scene?.xyz && !own && `of this data set every ${scene.points.every}th scan is kept: not this one`,
     target && `frame of ${model < 0 ? "the scan before" : "the model scan"} (\u25B3); \u25C6 where the new scan ended`,
@@ -123,7 +123,8 @@ function drawPair(i) {
   byId("pair-keys").replaceChildren(key(el("span", { style: { width: "8px", height: "8px", background: css("--quiet"), display: "inline-block" } }), `scan ${other}`),
     key(dash(tone(3), "", "o"), `scan ${i} as guessed`), key(dash(tone(0), "", "D"), "as registered"));
   const all = [...(target || []), ...(view.pair.after || [])];
-  const bounds = all.length ? [[0, 1, 2].map((a) => Math.min(...all.map((p) => p[a]))), [0, 1, 2].map((a) => Math.max(...all.map((p) => p[a])))] : [[-1, -1, 0], [1, 1, 0]];
+  const core = (a, share) => { const values = [...all.map((p) => p[a]), 0, T[4 * a + 3]].sort((x, y) => x - y); return values[Math.round(share * (values.length - 1))]; };
+  const bounds = [[0, 1, 2].map((a) => Math.min(core(a, 0.03), 0)), [0, 1, 2].map((a) => Math.max(core(a, 0.97), 0))];
   if (first || !pairView.moved) { pairView.fit(bounds); pairView.moved = false; } else { pairView.bounds = bounds; pairView.redraw(); }
 }
 function drawWindow(i, candidates) {
@@ -135,13 +136,14 @@ function drawWindow(i, candidates) {
   byId("candidates").replaceChildren();
   if (!candidates.length) return box.replaceChildren(el("p", { class: "quiet" }, note || "Nothing was asked of the window for this scan."));
   const finite = candidates.map((c) => c.score).filter(Number.isFinite), bound = typeof choices.threshold === "number" ? choices.threshold : null;
-  const y0 = Math.min(0, ...finite, bound ?? 0), y1 = Math.max(1, ...finite), x0 = candidates[0].model - 0.5, x1 = candidates.at(-1).model + 0.5;
+  const known = [...finite, ...(bound == null ? [] : [bound])], top = Math.max(...known, -1), low = Math.min(...known, 1);
+  const [y0, y1] = known.length ? [low - Math.max(0.15 * (top - low), 0.02), top + Math.max(0.1 * (top - low), 0.02)] : [0, 1], x0 = candidates[0].model - 0.5, x1 = candidates.at(-1).model + 0.5;
   const X = (v) => L + ((W - L - R) * (v - x0)) / (x1 - x0), Y = (v) => H - B - ((H - B - T) * ((Number.isFinite(v) ? v : y0) - y0)) / (y1 - y0);
   const out = svg("svg", { viewBox: `0 0 ${W} ${H}`, role: "img", "aria-label": "Similarity of each scan of the window" });
   for (const v of ticks(y0, y1, 5)) out.append(svg("path", { class: "grid", d: `M${L} ${Y(v)}H${W - R}` }), svg("text", { x: L - 7, y: Y(v) + 4, "text-anchor": "end" }, tickText(v)));
   for (const v of ticks(x0, x1, 8).filter(Number.isInteger)) out.append(svg("text", { x: X(v), y: H - B + 18, "text-anchor": "middle" }, String(v)));
   out.append(svg("text", { x: (L + W - R) / 2, y: H - 4, "text-anchor": "middle" }, "scan in the window, oldest left"), svg("text", { transform: `translate(12 ${(T + H - B) / 2}) rotate(-90)`, "text-anchor": "middle" }, choices.scored ? "similarity S" : "no similarity was asked for"));
-  if (bound != null && choices.scored) out.append(svg("path", { d: `M${L} ${Y(bound)}H${W - R}`, stroke: css("--ink"), "stroke-dasharray": "6 4" }), svg("text", { class: "name", x: W - R, y: Y(bound) - 5, "text-anchor": "end" }, `threshold ${three(bound)}`));
+  if (bound != null && choices.scored) out.append(svg("path", { d: `M${L} ${Y(bound)}H${W - R}`, stroke: css("--ink"), "stroke-dasharray": "6 4" }));
   const r = candidates.length > 60 ? 3 : 5;
   const looks = { [BELOW]: ["o", css("--quiet"), false], [PASSED]: ["o", tone(0), true], [REFUSED]: ["x", css("--bad"), false], [CHOSEN]: ["D", tone(1), true], [UNDEFINED]: ["+", css("--quiet"), false] };
   const mark = (kind, colour, filled) => ({ d: markerPath(kind, r), fill: filled ? colour : css("--card"), stroke: colour, "stroke-width": 1.8 });
@@ -150,7 +152,7 @@ function drawWindow(i, candidates) {
     out.append(svg("path", { ...mark(...looks[c.fate]), transform: `translate(${X(c.model)} ${Y(c.score)})`, onpointermove: (event) => showTip(words, event.clientX, event.clientY), onpointerleave: () => showTip("") }));
   }
   const seen = [...new Set(candidates.map((c) => c.fate))].sort();
-  box.replaceChildren(out, el("div", null, seen.map((fate) => key(svg("svg", { width: 16, height: 14, viewBox: "-8 -7 16 14", style: { width: "16px" } }, svg("path", mark(...looks[fate]))), fateWords({ fate }, true)))));
+  box.replaceChildren(out, el("div", null, seen.map((fate) => key(svg("svg", { width: 16, height: 14, viewBox: "-8 -7 16 14", style: { width: "16px" } }, svg("path", mark(...looks[fate]))), fateWords({ fate }))), bound != null && choices.scored ? key(dash(css("--ink"), "6 4"), `threshold ${three(bound)}`) : ""));
   byId("candidates").append(el("table", null, candidates.map((c) => el("tr", { class: c.fate === CHOSEN && "chosen" }, el("td", null, "scan ", toScan(c.model)), el("td", null, `${i - c.model} back`), el("td", null, choices.scored ? `S ${three(c.score) || "undefined"}` : ""), el("td", null, fateWords(c), c.fate === REFUSED ? `: ${reasonOf(run, i, c.model) || "the run does not say why"}` : "")))));
 }
 function fateWords({ fate }) {
@@ -185,8 +187,9 @@ function drawChain(i) {
 function drawDescriptors(i) {
   const { run, scene, curve } = view, model = run.model(i);
   const of = (scan) => { const k = scan / (scene?.points?.every || 1); return curve && Number.isInteger(k) && scan >= 0 ? Float32Array.from(curve.values.subarray(k * curve.columns, (k + 1) * curve.columns), (v) => (v === -32768 ? NaN : v * curve.scale)) : null; };
-  const own = of(i), other = of(model), dots = curve?.columns > 40;
-  byId("curve-note").textContent = curve ? [curve.columns < curve.of && `${curve.columns} of ${curve.of} values drawn`, !other && i && "no model scan is kept to compare with"].filter(Boolean).join("; ") : view.choices?.scored ? "this similarity compares the points themselves: it has no curve" : view.scene?.note || "this row's choice asks for no similarity";
+  if (!curve && view.choices?.scored && view.pair?.own) return drawBearings(i, model);
+  const own = of(i), other = of(model);
+  byId("curve-note").textContent = curve ? [curve.columns < curve.of && `${curve.columns} of ${curve.of} values drawn`, !other && i && "no model scan is kept to compare with"].filter(Boolean).join("; ") : view.scene?.note || "this row's choice asks for no similarity";
   byId("curve").hidden = !own;
   byId("curve-keys").replaceChildren();
   if (!own) return;
@@ -194,6 +197,15 @@ function drawDescriptors(i) {
   const x = Float32Array.from(own, (_, k) => (k * (curve.of - 1)) / Math.max(own.length - 1, 1));
   const drawn = [{ x, y: own, colour: tone(0), width: 1.4 }, ...(other ? [{ x, y: other, colour: tone(1), width: 1.4, dashes: [5, 3] }] : [])];
   view.curveDraw = lineChart(byId("curve"), drawn, { x: "beam", y: curve.name });
+}
+// A similarity that compares points has no curve: the points of both by their bearing.
+function drawBearings(i, model) {
+  const { own, target } = view.pair;
+  const polar = (points, colour) => { const p = points.map(([x, y]) => [(Math.atan2(y, x) * 180) / Math.PI, Math.hypot(x, y)]).sort((a, b) => a[0] - b[0]); return { x: Float32Array.from(p, (q) => q[0]), y: Float32Array.from(p, (q) => q[1]), colour, dots: true }; };
+  byId("curve").hidden = false;
+  byId("curve-note").textContent = "this similarity compares the points themselves, moved by the initial guess: here each scan's by bearing";
+  byId("curve-keys").replaceChildren(key(dash(tone(0)), `scan ${i}`), target ? key(dash(tone(1)), `scan ${model}`) : "");
+  view.curveDraw = lineChart(byId("curve"), [polar(own, tone(0)), ...(target && model >= 0 ? [polar(target, tone(1))] : [])], { x: "bearing (deg)", y: "range (m)", from: 0 });
 }
 byId("slider").addEventListener("input", () => { state.scan = +byId("slider").value; emit("scan"); });
 byId("scan-number").addEventListener("change", () => { state.scan = Math.max(0, Math.min(+byId("scan-number").value || 0, view.run.n - 1)); emit("scan"); });

@@ -94,7 +94,7 @@ function drawChips() {
   byId("chips").replaceChildren(...state.picked.map((row) => {
     const { name, of, shown } = DATA.rows[row];
     const title = of > 1 ? `drawn: ${shown}, one of ${of} runs` : shown;
-    return el("button", { type: "button", class: "chip", title: `${title}; click to remove`, onclick: () => pick(row, false) }, `${letterOf(row)} `, swatch(row), name, " \u00d7");
+    return el("button", { type: "button", class: "chip", title: `${title}; click to remove`, onclick: () => pick(row, false) }, `${letterOf(row)} `, swatch(row), shortName(row), " \u00d7");
   }));
   if (!state.picked.length) byId("chips").append(el("span", { class: "quiet" }, "none: tick a row of the table"));
 }
