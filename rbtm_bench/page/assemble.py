@@ -140,7 +140,7 @@ def _scenes(
     for members in groups.values():
         first = tracks[members[0]]
         scene: dict[str, Any] = {"name": rows[members[0]]["cells"]["data"]}
-        scene |= {"planar": first.planar, "truth": reading.truth(first)}
+        scene |= {"planar": first.planar, **reading.truth(first)}
         scans = _opened(first, trust, data.POINTS // len(groups), scene)
         keys: list[str] = []
         for i in members:

@@ -66,12 +66,16 @@ function lineChart(canvas, series, options) {
   if (!Number.isFinite(x0) || !Number.isFinite(y1)) [x0, x1, y0, y1] = [0, 1, 0, 1];
   if (x1 <= x0) x1 = x0 + 1;
   if (y1 <= y0) y1 = y0 + 1;
-  const pad = 0.06 * (y1 - y0);
-  y1 += pad;
+  // one path may be lost: then in powers of ten
+  const tops = ys.map((r) => r[1]).filter((v) => v > 0), isLog = options.mayLog && Math.max(...tops) > 20 * Math.min(...tops);
+  if (isLog) { y0 = Math.min(...tops) / 100; y1 *= 1.3; }
+  const pad = isLog ? 0 : 0.06 * (y1 - y0);
+  y1 = options.to ?? y1 + pad;
   if (options.from == null) y0 -= pad;
+  const share = (v) => (isLog ? Math.log(Math.max(v, y0) / y0) / Math.log(y1 / y0) : (v - y0) / (y1 - y0));
   const draw = () => onCanvas(canvas, (c, w, h) => {
-    const X = (v) => chart.L + ((w - chart.L - chart.R) * (v - x0)) / (x1 - x0), Y = (v) => h - chart.B - ((h - chart.B - chart.T) * (v - y0)) / (y1 - y0);
-    axes(c, w, h, chart, X, Y, ticks(x0, x1, w / 110), ticks(y0, y1, 4), options.x, options.y);
+    const X = (v) => chart.L + ((w - chart.L - chart.R) * (v - x0)) / (x1 - x0), Y = (v) => h - chart.B - (h - chart.B - chart.T) * share(v);
+    axes(c, w, h, chart, X, Y, ticks(x0, x1, w / 110), isLog ? logTicks(y0, y1).filter((v) => /^1e/.test(v.toExponential(0))) : ticks(y0, y1, 4), options.x, options.y);
     c.save();
     c.beginPath();
     c.rect(chart.L - 4, 0, w - chart.L - chart.R + 8, h - chart.B + 4);
@@ -165,6 +169,7 @@ async function drawCurves() {
   const picked = [...state.picked], runs = await Promise.all(picked.map(openRun));
   if (picked.join() !== state.picked.join()) return;
   const shown = picked.map((row, i) => ({ row, run: runs[i] })).filter((p) => p.run);
+  const metres = await Promise.all(shown.map(({ run }) => unpack(DATA.scenes[run.scene]?.metres)));
   const box = byId("curves");
   box.replaceChildren();
   curveDraws.length = 0;
@@ -175,7 +180,8 @@ async function drawCurves() {
     curveDraws.push(lineChart(canvas, series, options));
   };
   const over = ({ row, run }, values) => ({ row, x: Float32Array.from({ length: run.n }, (_, i) => run.at(i)), y: values, scan: run.at, index: run.indexOf, dashes: lookOf(row).dashes });
-  chart("Error over the path", shown.filter((p) => p.run.error).map((p) => ({ ...over(p, p.run.error), x: p.run.metres })), { x: "path travelled, by estimate (m)", y: "position (m)", from: 0, unit: "m" });
+  const pathOf = (p) => { const known = metres[shown.indexOf(p)]; return known ? Float32Array.from({ length: p.run.n }, (_, i) => known[p.run.at(i)]) : p.run.metres; };
+  chart("Error over the path", shown.filter((p) => p.run.error).map((p) => ({ ...over(p, p.run.error), x: pathOf(p) })), { x: metres.some(Boolean) ? "true path travelled (m)" : "path travelled, by estimate (m)", y: "position (m)", from: 0, unit: "m", mayLog: true });
   chart("Error of relations", shown.filter((p) => p.run.relations).map((p) => ({ row: p.row, dots: true, x: p.run.relations.scan, y: p.run.relations.error, scan: (i) => p.run.relations.scan[i] })), { x: "scan of the later end", y: "|E| (m)", from: 0 });
   chart("Gap to the model scan", shown.filter((p) => p.run.gap).map((p) => ({ ...over(p, Float32Array.from(p.run.gap, (g) => g || NaN)), dots: true })), { x: "scan", y: "gap (scans)", from: 0, unit: "scans" });
   const scored = shown.filter((p) => p.run.score?.some(Number.isFinite));

@@ -105,9 +105,8 @@ function three(value) {
   if (typeof value !== "number") return String(value);
   if (value === 0) return "0";
   const size = Math.abs(value);
-  if (Number.isInteger(value) && size < 1e6) return String(value);
-  if (size >= 1e6 || size < 1e-4) return value.toExponential(2);
-  return value.toFixed(Math.max(0, 2 - Math.floor(Math.log10(size)))).replace("-", "\u2212");
+  const text = Number.isInteger(value) && size < 1e6 ? String(value) : size >= 1e6 || size < 1e-4 ? value.toExponential(2) : value.toFixed(Math.max(0, 2 - Math.floor(Math.log10(size))));
+  return text.replace("-", "\u2212");
 }
 function ticks(low, high, many) {
   const raw = (high - low) / many, power = 10 ** Math.floor(Math.log10(raw));

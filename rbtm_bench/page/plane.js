@@ -79,7 +79,7 @@ class View {
     for (let v = Math.ceil((cy - halfY) / step) * step; v < cy + halfY; v += step) ys.push(Math.abs(v) < 1e-9 * step ? 0 : v);
     c.textBaseline = "middle";
     for (const v of ys) { const y = this.at(0, v)[1]; line(c, 34, y, w, y); if (y > 14 && y < h - 40) { c.textAlign = "right"; c.fillText(tickText(+v.toPrecision(9)), 31, y); } }
-    for (const v of xs) { const x = this.at(v, 0)[0]; line(c, x, 0, x, h - 20); if (x > 56 && x < w - 36) { c.textAlign = "center"; c.fillText(tickText(v), x, h - 11); } }
+    for (const v of xs) { const x = this.at(v, 0)[0]; line(c, x, 0, x, h - 20); if (x > 56 && x < w - 58) { c.textAlign = "center"; c.fillText(tickText(v), x, h - 11); } }
     c.textAlign = "left";
     c.fillText("x (m)", w - 32, h - 11);
     c.fillText("y (m)", 2, 8);
@@ -183,15 +183,19 @@ function mark(c, [x, y], kind, r, colour, filled) {
 }
 const planeView = new View(byId("plane"), (c, w, h, view) => {
   view.grid(c, w, h);
-  const layers = byId("with-map").checked ? plane.maps.map((map, i) => map && { ...map, colour: colourOf(plane.shown[i].row) }).filter(Boolean) : [];
+  const layers = byId("with-map").checked ? plane.maps.map((map, i) => map && { ...map, colour: colourOf(plane.shown[i].row) }).filter(Boolean).reverse() : [];
   if (layers.length) drawDots(c, view, layers, w, h, layers.some((l) => l.points.length > 60000) ? 0.22 : 0.5);
   for (const truth of plane.truths) { c.globalAlpha = 0.55; drawPath(c, view, truth, css("--quiet"), 7, []); c.globalAlpha = 1; }
+  const letters = [];
   for (const { row, run } of [...plane.shown].reverse()) {
     const look = lookOf(row), points = drawPath(c, view, run, colourOf(row), 2, look.dashes);
     mark(c, points.at(-1), look.marker, 5, colourOf(row), look.filled);
     c.fillStyle = css("--ink");
     c.textAlign = "left";
-    c.fillText(letterOf(row), points.at(-1)[0] + 9, points.at(-1)[1] - 7);
+    let [x, y] = [points.at(-1)[0] + 9, points.at(-1)[1] - 9];
+    while (letters.some((other) => Math.abs(other[0] - x) < 10 && Math.abs(other[1] - y) < 12)) x += 11;
+    letters.push([x, y]);
+    c.fillText(letterOf(row), x, y);
   }
   const scan = state.hover ?? state.scan;
   for (const { row, run } of plane.shown) {

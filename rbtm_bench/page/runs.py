@@ -114,12 +114,16 @@ def packed_poses(T: Array, planar: bool) -> dict[str, Any]:
     return packed(np.concatenate([T[:, :3, 3], turned], axis=1).T, "f32")
 
 
-def truth(track: Track) -> dict[str, Any] | None:
-    """The true positions, thinned, moved so that the first poses agree."""
+def truth(track: Track) -> dict[str, Any]:
+    """The true poses, thinned, moved so that the first ones agree, and how far (m) the true path
+    has come at every scan; nothing where there is none."""
     G = track.paths.truth_from_start
     if G is None:
-        return None
-    return packed_poses(G[:: 1 + len(G) // (10 * THIN)], track.planar)
+        return {}
+    steps = np.linalg.norm(np.diff(G[:, :3, 3], axis=0), axis=1)
+    metres = np.concatenate([[0.0], np.nancumsum(steps)])
+    thin = packed_poses(G[:: 1 + len(G) // (10 * THIN)], track.planar)
+    return {"truth": thin, "metres": packed(metres, "f32")}
 
 
 def _errors(track: Track) -> Array | None:

@@ -137,7 +137,7 @@ function drawWindow(i, candidates) {
   if (!candidates.length) return box.replaceChildren(el("p", { class: "quiet" }, note || "Nothing was asked of the window for this scan."));
   const finite = candidates.map((c) => c.score).filter(Number.isFinite), bound = typeof choices.threshold === "number" ? choices.threshold : null;
   const known = [...finite, ...(bound == null ? [] : [bound])], top = Math.max(...known, -1), low = Math.min(...known, 1);
-  const [y0, y1] = known.length ? [low - Math.max(0.15 * (top - low), 0.02), top + Math.max(0.1 * (top - low), 0.02)] : [0, 1], x0 = candidates[0].model - 0.5, x1 = candidates.at(-1).model + 0.5;
+  const [y0, y1] = known.length ? [low - Math.max(0.15 * (top - low), 0.02), Math.min(top + Math.max(0.1 * (top - low), 0.02), Math.max(top, 1.005))] : [0, 1], x0 = candidates[0].model - 0.5, x1 = candidates.at(-1).model + 0.5;
   const X = (v) => L + ((W - L - R) * (v - x0)) / (x1 - x0), Y = (v) => H - B - ((H - B - T) * ((Number.isFinite(v) ? v : y0) - y0)) / (y1 - y0);
   const out = svg("svg", { viewBox: `0 0 ${W} ${H}`, role: "img", "aria-label": "Similarity of each scan of the window" });
   for (const v of ticks(y0, y1, 5)) out.append(svg("path", { class: "grid", d: `M${L} ${Y(v)}H${W - R}` }), svg("text", { x: L - 7, y: Y(v) + 4, "text-anchor": "end" }, tickText(v)));
@@ -202,10 +202,11 @@ function drawDescriptors(i) {
 function drawBearings(i, model) {
   const { own, target } = view.pair;
   const polar = (points, colour) => { const p = points.map(([x, y]) => [(Math.atan2(y, x) * 180) / Math.PI, Math.hypot(x, y)]).sort((a, b) => a[0] - b[0]); return { x: Float32Array.from(p, (q) => q[0]), y: Float32Array.from(p, (q) => q[1]), colour, dots: true }; };
+  const ranges = own.map(([x, y]) => Math.hypot(x, y)).sort((a, b) => a - b), far = ranges[Math.floor(0.95 * ranges.length)] || 1;
   byId("curve").hidden = false;
   byId("curve-note").textContent = "this similarity compares the points themselves, moved by the initial guess: here each scan's by bearing";
   byId("curve-keys").replaceChildren(key(dash(tone(0)), `scan ${i}`), target ? key(dash(tone(1)), `scan ${model}`) : "");
-  view.curveDraw = lineChart(byId("curve"), [polar(own, tone(0)), ...(target && model >= 0 ? [polar(target, tone(1))] : [])], { x: "bearing (deg)", y: "range (m)", from: 0 });
+  view.curveDraw = lineChart(byId("curve"), [polar(own, tone(0)), ...(target && model >= 0 ? [polar(target, tone(1))] : [])], { x: "bearing (deg)", y: "range (m)", from: 0, to: 1.3 * far });
 }
 byId("slider").addEventListener("input", () => { state.scan = +byId("slider").value; emit("scan"); });
 byId("scan-number").addEventListener("change", () => { state.scan = Math.max(0, Math.min(+byId("scan-number").value || 0, view.run.n - 1)); emit("scan"); });
