@@ -146,9 +146,9 @@ def _serve(paths: list[Path], options: argparse.Namespace) -> int:
     from rbtm_bench.runs import stored
 
     if options.out:
-        raise ConfigError("--serve: writes no file: leave out= away")
+        raise ConfigError("--serve: writes no file: leave out= out")
     stored.find_runs(paths)  # a path without runs is a mistake to be told now
     with serve.server(serve.LivePage(paths, options.trust), options.serve) as server:
-        print(f"http://{serve.HOST}:{server.server_address[1]}/   (Ctrl-C ends it)", flush=True)
+        print(f"http://{serve.HOST}:{serve.port_of(server)}/   (Ctrl-C ends it)", flush=True)
         server.serve_forever()
     return 0

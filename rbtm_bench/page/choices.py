@@ -103,7 +103,7 @@ def _replay(track: Track, scans: Scans, plugins: Plugins, nodes: list[Node]) -> 
     fates: list[Any] = []
     counts = np.zeros(len(track), np.int64)
     others = 0
-    for j, node in enumerate(nodes):
+    for j in range(len(nodes)):
         status = str(steps["status"][j])
         if selector.needs_truth or selector.needs_scans:
             scan = scans.dataset[j]
@@ -146,9 +146,7 @@ def _selection(
             recent = nodes[max(0, j - 2) : j]
             assert plugins.guess is not None
             motions = [plugins.guess.predict(n, scans.light[j], recent) for n in window.nodes]
-            scores = similarity.scores_under(
-                window.descriptors, node.descriptor, np.stack(motions)
-            )
+            scores = similarity.scores_under(window.descriptors, node.descriptor, np.stack(motions))
         else:
             scores = similarity.scores(window.descriptors, node.descriptor)
     return scores, plugins.selector.choose(j, window, scores)
@@ -175,9 +173,7 @@ def _fates(
     return fates, met or not accepted
 
 
-def _remember(
-    j: int, window: Window, nodes: list[Node], track: Track, selector: Selector
-) -> None:
+def _remember(j: int, window: Window, nodes: list[Node], track: Track, selector: Selector) -> None:
     """What the loop pushes into the window after scan j (odometry/loop.py)."""
     status = track.steps["status"][j]
     if track.steps["restart"][j]:
@@ -188,9 +184,7 @@ def _remember(
         window.push(nodes[j])
 
 
-def _guesses(
-    track: Track, scans: Scans, plugins: Plugins, nodes: list[Node]
-) -> Array | None:
+def _guesses(track: Track, scans: Scans, plugins: Plugins, nodes: list[Node]) -> Array | None:
     """T_model_scan (N, 4, 4) as it was guessed, from the stored poses."""
     if plugins.guess is None:
         return None
@@ -201,4 +195,3 @@ def _guesses(
         recent = nodes[max(0, j - 2) : j]
         motions[j] = plugins.guess.predict(nodes[model], scans.light[j], recent)
     return motions
-

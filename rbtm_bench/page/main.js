@@ -3,7 +3,10 @@ function drawWords() {
   const [methods, runs, failed] = DATA.counts;
   byId("title").textContent = DATA.title;
   byId("counts").textContent = `${methods} methods, ${runs} runs${failed ? `, ${failed} not done` : ""}`;
-  byId("findings").replaceChildren(...DATA.answer.map(([head, text], i) => el("div", { class: head.startsWith("alarm") ? "alarm" : i ? "" : "first" }, el("dt", null, head === DATA.answer[i - 1]?.[0] ? "" : head), el("dd", null, text))));
+  byId("findings").replaceChildren(...DATA.answer.map(([head, text], i) => {
+    const [, word, columns] = head.match(/^(.*?)(?: (\(.*\)))?$/s); // "winner (ape_rmse_m)"
+    return el("div", { class: head.startsWith("alarm") ? "alarm" : i ? "" : "first" }, el("dt", null, word), el("dd", null, text, columns ? el("span", { class: "quiet" }, ` ${columns}`) : ""));
+  }));
   byId("next").replaceChildren(el("span", { class: "quiet" }, "next"), ...command(DATA.next));
   const more = [...DATA.verdict, ...DATA.warnings];
   byId("verdict").hidden = !more.length;

@@ -7,6 +7,8 @@ import threading
 from collections.abc import Sequence
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from socketserver import BaseServer
+from typing import Any
 
 from rbtm_bench.core.errors import ConfigError, RbtmBenchError
 from rbtm_bench.page import assemble
@@ -34,7 +36,9 @@ class LivePage:
                     known = file.stat()
                 except OSError:
                     continue
-                seen.update(f"{file} {known.st_mtime_ns} {known.st_size}\n".encode(errors="replace"))
+                seen.update(
+                    f"{file} {known.st_mtime_ns} {known.st_size}\n".encode(errors="replace")
+                )
         return seen.hexdigest()[:16]
 
     def html(self) -> bytes:
@@ -47,12 +51,18 @@ class LivePage:
             return self._html
 
 
+def port_of(server: BaseServer) -> int:
+    """The port that a server listens to."""
+    address: Any = server.server_address
+    return int(address[1])
+
+
 def server(page: LivePage, port: int) -> ThreadingHTTPServer:
-    """A server on the loopback; port 0: a free one. Raises ``ConfigError`` for one that is taken."""
+    """A server on the loopback; port 0: any free one. Raises ``ConfigError`` for a taken one."""
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
-            here = f":{self.server.server_address[1]}"
+            here = f":{port_of(self.server)}"
             if self.headers.get("Host") not in (HOST + here, f"localhost{here}"):
                 self.send_error(403, "asked for under another name")  # a name that was rebound
             elif self.path == "/version":

@@ -29,6 +29,7 @@ DARK = ("#5AA9E6", "#F58A4B", "#3CC79E", "#F0BE4A", "#E3A5CA", "#8ED0F5", "#9DB4
 """Their counterparts on a dark ground."""
 DOTS = 40
 """Values of replicates or seeds that are drawn as dots, at most."""
+COST = "ms_per_scan"
 NAMES = (render.WINNER, *METHOD, "control", "seeds", "replicates", "status")
 
 
@@ -86,7 +87,8 @@ def _columns(table: Any, main: set[str]) -> list[dict[str, Any]]:
                 "main": key in main,
             }
         )
-    return columns
+    leading = {COST: 2} | {key: 1 for key in main}
+    return sorted(columns, key=lambda c: 0 if c["key"] in NAMES else leading.get(c["key"], 3))
 
 
 def _row(method: MethodRuns, mark: str, main: dict[str, Any]) -> dict[str, Any]:
