@@ -16,7 +16,7 @@ from rbtm_bench.page import assemble
 GRID = (
     *("dataset.scans=24", "dataset.beams=181", "dataset.path_length=0.9", "controls=none"),
     *("backend=none,plicp", "selector=previous,rbtm", "selector.window=4,8"),
-    *("selector.threshold=0.5,0.95", "check=gated", "check.max_translation=0.03"),
+    *("selector.threshold=0.5,0.95", "check=gated", "check.max_translation=0.004"),
 )
 HOSTILE = "<script>alert(1)</script>"
 
