@@ -2,7 +2,7 @@
 const COST = "ms_per_scan";
 
 function drawScatter() {
-  const error = DATA.errors[state.data], W = 620, H = 370, L = 62, B = 44, T = 10, R = 14;
+  const error = DATA.errors[state.data], W = 620, H = 430, L = 62, B = 44, T = 10, R = 14;
   if (!error) return byId("scatter").replaceChildren(el("p", { class: "quiet" }, "No row has an error."));
   const [errorKey, unit, title] = error;
   const points = DATA.rows.map((r, row) => ({ row, x: r.cells[COST], y: r.cells[errorKey], data: r.cells.data }))
@@ -24,7 +24,7 @@ function drawScatter() {
     const at = { x: X(p.x), y: Y(p.y) - 10 };
     if (Math.abs(at.x - last.x) < 120 && Math.abs(at.y - last.y) < 15) continue;
     last = at;
-    const left = at.x > W - 190;
+    const left = at.x > W - 250;
     out.append(svg("text", { class: "name", x: at.x + (left ? -11 : 11), y: at.y + 1, "text-anchor": left ? "end" : "start" }, clipped(shortName(p.row), 34)));
   }
   for (const p of [...points].reverse()) out.append(scatterPoint(p, errorKey, unit, X, Y));

@@ -25,14 +25,15 @@ function heatPanel(name, cells, { xKey, yKey, shade }) {
   const xs = distinct(cells, "x"), ys = distinct(cells, "y").reverse();
   const known = cells.filter((r) => r.value != null).sort((a, b) => a.value - b.value), best = known[0]?.row;
   const short = (settingKey) => settingKey.split(".").pop().replaceAll("_", " ");
-  const lines = ys.map((y) => el("tr", null, el("th", { scope: "row" }, three(y)), xs.map((x) => {
+  const lines = ys.map((y) => el("tr", null, el("th", { scope: "row" }, setting(y)), xs.map((x) => {
     const here = [...known, ...cells.filter((r) => r.value == null)].find((r) => r.x === x && r.y === y);
     return el("td", null, here && heatCell(here, best, shade(here.value)));
   })));
   return el("table", { class: "heat" }, el("caption", null, name),
-    el("tbody", null, lines, el("tr", null, el("th", null, `${short(yKey)} \u2191`), xs.map((x) => el("th", { class: "across" }, three(x)))),
+    el("tbody", null, lines, el("tr", null, el("th", null, `${short(yKey)} \u2191`), xs.map((x) => el("th", { class: "across" }, setting(x)))),
       el("tr", null, el("th"), el("th", { class: "across", colspan: xs.length }, `${short(xKey)} \u2192`))));
 }
+const setting = (value) => (typeof value === "number" ? tickText(value) : String(value));
 function heatCell(cell, best, share) {
   const colour = share == null ? null : viridis(share), light = colour && colour[0] * 0.3 + colour[1] * 0.59 + colour[2] * 0.11 > 125;
   return el("button", {

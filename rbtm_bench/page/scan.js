@@ -155,9 +155,9 @@ function drawWindow(i, candidates) {
   box.replaceChildren(out, el("div", null, seen.map((fate) => key(svg("svg", { width: 16, height: 14, viewBox: "-8 -7 16 14", style: { width: "16px" } }, svg("path", mark(...looks[fate]))), fateWords({ fate }))), bound != null && choices.scored ? key(dash(css("--ink"), "6 4"), `threshold ${three(bound)}`) : ""));
   byId("candidates").append(el("table", null, candidates.map((c) => el("tr", { class: c.fate === CHOSEN && "chosen" }, el("td", null, "scan ", toScan(c.model)), el("td", null, `${i - c.model} back`), el("td", null, choices.scored ? `S ${three(c.score) || "undefined"}` : ""), el("td", null, fateWords(c), c.fate === REFUSED ? `: ${reasonOf(run, i, c.model) || "the run does not say why"}` : "")))));
 }
-function fateWords({ fate }) {
+function fateWords({ fate, score }) {
   if (fate === PASSED && view.choices.triesAll) return "registered, not picked";
-  if (fate === BELOW && view.choices.scored && typeof view.choices.threshold === "number") return "below the threshold or not tried";
+  if (fate === BELOW && view.choices.scored && typeof view.choices.threshold === "number") return score > view.choices.threshold ? "not chosen" : "below the threshold";
   return FATES[fate];
 }
 

@@ -1,5 +1,6 @@
 // The table of methods: sorted, filtered, its rows picked.
 const MOST_PICKED = 6;
+const SETTINGS = new Set(["window", "threshold", "seeds", "replicates"]); // as they were set, all digits
 const sorting = { key: null, down: false };
 
 function shownColumns() {
@@ -67,7 +68,7 @@ function tableCell(row, column, value) {
   if (column.key === "backend") return el("td", null, swatch(row), String(value ?? "?"));
   if (column.key === "settings" || column.key === "data") return el("td", { class: "settings" }, String(value ?? ""));
   if (column.key === "status") return el("td", { class: `reason ${value === "done" && !dead ? "" : "failed"}` }, [value, ...reasons, dead].filter(Boolean).join(": "));
-  const cell = el("td", { class: [column.number && "number", column.main && "main"].filter(Boolean).join(" ") }, three(value));
+  const cell = el("td", { class: [column.number && "number", column.main && "main"].filter(Boolean).join(" ") }, SETTINGS.has(column.key) ? setting(value ?? "") : three(value));
   const low = cells[`${column.key}_q1`];
   if (column.main && low != null) cell.append(el("span", { class: "spread" }, ` [${three(low)} \u2013 ${three(cells[`${column.key}_q3`])}]`));
   if (column.main && values.length > 1 && value != null) cell.append(strip(row, values));
