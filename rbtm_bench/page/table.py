@@ -99,11 +99,14 @@ def _row(method: MethodRuns, mark: str, main: dict[str, Any]) -> dict[str, Any]:
     failed = [run for run in method.runs if not run.done]
     reasons = dict.fromkeys(str(run.record.get("reason") or run.record["status"]) for run in failed)
     name = f"{method.row['backend']} {verdict.label(method.row)}"
+    cells = {str(k): _cell(v) for k, v in method.row.items()}
+    if len(method.runs) == 1:  # "failed" says more than "0 of 1 done"
+        cells["status"] = str(shown.record.get("status"))
     return {
         "name": name,
         "best": "*" in mark,
         "control": "+" in mark,
-        "cells": {str(k): _cell(v) for k, v in method.row.items()},
+        "cells": cells,
         "values": [_cell(v) for v in values[:DOTS]] if len(values) > 1 else [],
         "reasons": [f"{reason}" for reason in list(reasons)[:3]],
         "dead": next(filter(None, map(answer.dead_words, method.runs)), ""),
