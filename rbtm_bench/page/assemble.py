@@ -102,7 +102,10 @@ def _details(
         room, thin = (room - count, thin) if whole else (room, thin - 1)
         if whole:
             tracks[i] = track
-    left = sum(detail is None or not detail["whole"] for detail in details)
+    done = [any(run.done for run in method.runs) for method in methods]
+    left = sum(
+        d is None or not d["whole"] for d, is_done in zip(details, done, strict=True) if is_done
+    )
     if left:
         notes.append(f"{left} of {len(rows)} rows are kept without their scans")
     scenes = _scenes(tracks, rows, details, trust)

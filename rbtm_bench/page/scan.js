@@ -71,7 +71,7 @@ function sentence(i, candidates) {
   out.push(scored ? `: similarity ${three(run.score[i])}` : "", reason ? ` (${reason})` : "", ". ");
   const older = candidates.filter((c) => c.model < model);
   if (candidates.length) {
-    const passed = candidates.filter((c) => [PASSED, REFUSED, CHOSEN].includes(c.fate)).length;
+    const passed = candidates.filter((c) => [PASSED, REFUSED, ...(status === "fallback" ? [] : [CHOSEN])].includes(c.fate)).length;
     const count = (fate, words) => { const n = older.filter((c) => c.fate === fate).length; return n ? `${n} ${words}` : null; };
     const why = [count(BELOW, "did not pass"), count(REFUSED, "refused"), count(UNDEFINED, "without a score"), count(PASSED, choices.triesAll ? "registered too, but not picked" : "passed")].filter(Boolean);
     out.push(choices.scored ? `${passed} of ${candidates.length} scans in the window passed. ` : `The window held ${candidates.length}. `, older.length ? `Of the ${older.length} older ones: ${why.join(", ")}. ` : "None in the window is older. ");

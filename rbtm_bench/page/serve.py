@@ -10,7 +10,7 @@ from pathlib import Path
 from socketserver import BaseServer
 from typing import Any
 
-from rbtm_bench.core.errors import ConfigError, RbtmBenchError
+from rbtm_bench.core.errors import ConfigError, one_line
 from rbtm_bench.page import assemble
 
 HOST = "127.0.0.1"
@@ -70,8 +70,10 @@ def server(page: LivePage, port: int) -> ThreadingHTTPServer:
             elif self.path == "/":
                 try:
                     self._answer(page.html(), "text/html; charset=utf-8")
-                except RbtmBenchError as error:
-                    self._answer(str(error).encode(errors="replace"), "text/plain; charset=utf-8")
+                except (
+                    Exception
+                ) as error:  # a half-written run may be the cause: the next asks again
+                    self._answer(one_line(error).encode(errors="replace"), "text/plain")
             else:
                 self.send_error(404)
 

@@ -98,7 +98,8 @@ def _row(method: MethodRuns, mark: str, main: dict[str, Any]) -> dict[str, Any]:
     values = [v for v in (value_of(run, key) for run in counted(method.runs)) if v is not None]
     failed = [run for run in method.runs if not run.done]
     reasons = dict.fromkeys(str(run.record.get("reason") or run.record["status"]) for run in failed)
-    name = f"{method.row['backend']} {verdict.label(method.row)}"
+    known = method.row["backend"] is not None  # else a folder that cannot be read
+    name = f"{method.row['backend']} {verdict.label(method.row)}" if known else shown.path.name
     cells = {str(k): _cell(v) for k, v in method.row.items()}
     if len(method.runs) == 1:  # "failed" says more than "0 of 1 done"
         cells["status"] = str(shown.record.get("status"))

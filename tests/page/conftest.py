@@ -16,7 +16,7 @@ from rbtm_bench.page import assemble
 
 ALL = (
     *("dataset.scans=24", "dataset.beams=181", "dataset.path_length=0.9"),
-    *("check=gated", "check.max_translation=0.004", "pin=false", "pictures=false"),
+    *("check=gated", "check.max_translation=0.004", "pin=false"),
 )
 HOSTILE = "<script>alert(1)</script>"
 
