@@ -47,6 +47,7 @@ function start() {
   byId("data").addEventListener("change", () => { state.data = byId("data").value; emit("data"); });
   drawWords();
   startHeat();
+  drawTable();
   on("pick theme", drawProvenance);
   state.picked = firstPicks();
   state.focus = state.picked.find((row) => DATA.runs[row].whole && DATA.rows[row].cells.selector.startsWith("rbtm")) ?? state.picked.find((row) => DATA.runs[row].whole) ?? null;

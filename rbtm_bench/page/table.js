@@ -99,6 +99,16 @@ function drawChips() {
   }));
   if (!state.picked.length) byId("chips").append(el("span", { class: "quiet" }, "none: tick a row of the table"));
 }
-on("pick theme", () => { drawTable(); drawChips(); });
+// The rows stay the elements they are: a checkbox that is toggled keeps the focus.
+function markPicked() {
+  for (const line of byId("table").tBodies[0].rows) {
+    const picked = state.picked.includes(+line.dataset.row);
+    line.classList.toggle("picked", picked);
+    line.querySelector("input").checked = picked;
+  }
+}
+on("pick", markPicked);
+on("theme", drawTable);
+on("pick theme", drawChips);
 byId("filter").addEventListener("input", () => { drawTable(); emit("filter"); });
 byId("wide").addEventListener("change", drawTable);

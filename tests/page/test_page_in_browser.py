@@ -14,6 +14,7 @@ from conftest import HOSTILE
 
 sync_api = pytest.importorskip("playwright.sync_api")
 expect = sync_api.expect
+expect.set_options(timeout=60_000)
 
 QUIET = (
     *("--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"),
@@ -120,7 +121,11 @@ def test_rows_are_picked_in_the_table_and_in_the_plot(page: Any) -> None:
     before = chips(page)
     row = page.locator("#table tbody tr:not(.picked)").first
     index = row.get_attribute("data-row")
-    row.get_by_role("checkbox").check()
+    box = page.locator(f'#table [data-row="{index}"]').get_by_role("checkbox")
+    box.focus()
+    page.keyboard.press("Space")
+    expect(box).to_be_checked()
+    expect(box).to_be_focused()
     assert len(chips(page)) == len(before) + 1
     point = page.locator(f'#scatter [data-row="{index}"]')
     assert point.get_attribute("aria-pressed") == "true"
