@@ -138,6 +138,11 @@ if [ -n "$packages" ]; then
     install_packages "${packages[@]}"
 fi
 
+# The page's tests look at it with a browser. Without one they are skipped, so nothing else waits.
+if [ "$kind" = dev ] && ! command -v chromium chromium-browser google-chrome >/dev/null; then
+    (install_packages chromium) || say "no chromium: the tests of the page will be skipped"
+fi
+
 if $usable && [ "${have[1]:-}" = "$hash" ] && { [ "$kind" = run ] || [ "${have[2]:-}" = dev ]; }; then
     exit 0
 fi

@@ -25,6 +25,7 @@ commands
   show      what is behind a row: settings, command, data:  rbtm-bench show results/compare/NAME
   diff      what differs between two runs:  rbtm-bench diff RUN RUN
   plot      runs as figures:     rbtm-bench plot results/compare
+  report    runs as one offline page, scan by scan:  rbtm-bench report results/compare
   gate      may a change pass?   rbtm-bench gate results/new --baseline results/main
   export    a run as csv, parquet, tum, g2o:  rbtm-bench export results/compare/NAME --to csv
   new       a plug-in of your own, begun:  rbtm-bench new selector NAME
@@ -109,10 +110,11 @@ def dispatch(words: list[str]) -> int:
         from rbtm_bench.cli import inspect
 
         return {"show": inspect.show, "diff": inspect.diff}[command](words)
-    if command in ("gate", "export"):
+    if command in ("gate", "export", "report"):
         from rbtm_bench.cli import publish
 
-        return {"gate": publish.gate, "export": publish.export}[command](words)
+        kinds = {"gate": publish.gate, "export": publish.export, "report": publish.report}
+        return kinds[command](words)
     if command == "new":
         from rbtm_bench.cli.new import new
 

@@ -15,6 +15,7 @@ COMMANDS = (
     "show",
     "diff",
     "plot",
+    "report",
     "gate",
     "export",
     "new",

@@ -1,4 +1,5 @@
-"""The subcommands that hand results on: gate (to a pull request), export (to other programs)."""
+"""The subcommands that hand results on: gate (to a pull request), export (to other programs),
+report (to a reader, as a page)."""
 
 from __future__ import annotations
 
@@ -87,4 +88,67 @@ def export(words: list[str]) -> int:
     out = options.out or Path(f"{run.path.resolve().name}.{options.to}")
     exports.export(run, options.to, out)
     print(out)
+    return 0
+
+
+REPORT = """\
+examples
+  rbtm-bench report results/compare                      writes results/compare/report.html
+  rbtm-bench report results/a results/b out=both.html    two sweeps as one
+  rbtm-bench report results/sweep --serve                a page that follows a running sweep
+
+The file opens without a network: docs/report.md says what it shows, and what it leaves out."""
+
+
+def report(words: list[str]) -> int:
+    """``rbtm-bench report PATH...``."""
+    parser = argparse.ArgumentParser(
+        prog="rbtm-bench report",
+        description="Runs, a comparison or a sweep as one HTML file that needs no network: the "
+        "answer, the\ntable, accuracy against cost, paths and maps over each other, every scan "
+        "with its choice.",
+        epilog=REPORT,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        usage="rbtm-bench report PATH... [out=FILE] [--serve [PORT]]",
+    )
+    parser.add_argument("paths", nargs="+", metavar="PATH")
+    parser.add_argument("--out", metavar="FILE", help="default: report.html in the first PATH")
+    parser.add_argument(
+        "--serve",
+        nargs="?",
+        type=int,
+        const=0,
+        metavar="PORT",
+        help="on this machine alone (127.0.0.1), made again when a run has ended; writes no file",
+    )
+    parser.add_argument(
+        "--trust",
+        action="store_true",
+        help="run code outside rbtm_bench that the runs' settings name, to read scans again",
+    )
+    options = parser.parse_args([f"--{w}" if w.startswith("out=") else w for w in words])
+    from rbtm_bench.page import assemble
+
+    paths = [Path(path) for path in options.paths]
+    if options.serve is not None:
+        return _serve(paths, options)
+    out = Path(options.out) if options.out else paths[0] / "report.html"
+    if out.is_dir():
+        raise ConfigError(f"out={out}: is a folder: expected a file such as {out}/report.html")
+    for note in assemble.write(paths, out, options.trust):
+        print(f"note: {note}")
+    print(f"{out}   ({out.stat().st_size / 1e6:.1f} MB)")
+    return 0
+
+
+def _serve(paths: list[Path], options: argparse.Namespace) -> int:
+    from rbtm_bench.page import serve
+    from rbtm_bench.runs import stored
+
+    if options.out:
+        raise ConfigError("--serve: writes no file: leave out= out")
+    stored.find_runs(paths)  # a path without runs is a mistake to be told now
+    with serve.server(serve.LivePage(paths, options.trust), options.serve) as server:
+        print(f"http://{serve.HOST}:{serve.port_of(server)}/   (Ctrl-C ends it)", flush=True)
+        server.serve_forever()
     return 0

@@ -35,6 +35,14 @@ STEPS = (
         "first",
     ),
     StepColumn("reason", "str", "", "why this model scan, or why none", ""),
+    StepColumn(
+        "refused",
+        "str",
+        "",
+        "the model scans whose registrations check or backend refused, and why, a line each: "
+        "`812: fitness ...`",
+        "",
+    ),
     StepColumn("recovered", "str", "", "the restart it came from; empty: from the guess", ""),
     StepColumn("target_scans", "int", "count", "scans that its target was made of"),
     StepColumn("target_points", "int", "count", "points of the target"),

@@ -170,6 +170,7 @@ def _register(
     if len(window) == 0:
         record.status, record.reason = "predicted", "no model scan yet"
     accepted: list[Trial] = []
+    refused = [record.refused] if record.refused else []  # before a restart
     for candidate in selection.candidates:
         outcome = attempt(ready, ready.prepared, candidate, past, recent, work)
         if isinstance(outcome, Trial):
@@ -179,6 +180,8 @@ def _register(
         else:
             record.rejected += 1
             record.reason = outcome
+            refused.append(f"{candidate.model}: {' '.join(outcome.split())}")
+    record.refused = "\n".join(refused)
     if not accepted:
         return ()
     started = time.perf_counter()

@@ -28,6 +28,16 @@ HALF = 0.5
 
 def answer(methods: Sequence[MethodRuns], where: str) -> list[str]:
     """At most ``MOST`` lines, each tied to a column, on methods whose runs are in ``where``."""
+    lines = ["the answer:", *findings(methods)]
+    out: list[str] = []
+    for i, line in enumerate(lines):  # one line each is sure, a second while there is room
+        spare = MOST - 1 - len(out) - (len(lines) - i)
+        out += _wrapped(line, 1 + min(spare, 1))
+    return [*out, f"next: {following(methods, where)}"]
+
+
+def findings(methods: Sequence[MethodRuns]) -> list[str]:
+    """The sentences of the answer, "what (column): ...", not wrapped."""
     groups: dict[Any, list[MethodRuns]] = {}
     for method in methods:
         groups.setdefault(method.row["data"], []).append(method)
@@ -42,12 +52,7 @@ def answer(methods: Sequence[MethodRuns], where: str) -> list[str]:
     room = MOST - 2 - len(lines)
     if len(found) > room:
         found = [*found[: room - 1], f"alarm: and {len(found) - room + 1} more"]
-    lines = ["the answer:", *lines, *found]
-    out: list[str] = []
-    for i, line in enumerate(lines):  # one line each is sure, a second while there is room
-        spare = MOST - 1 - len(out) - (len(lines) - i)
-        out += _wrapped(line, 1 + min(spare, 1))
-    return [*out, f"next: {_next(methods, where)}"]
+    return [*lines, *found]
 
 
 def _wrapped(line: str, most: int) -> list[str]:
@@ -260,7 +265,7 @@ def _trajectories(method: MethodRuns) -> tuple[Any, ...]:
 # --- what next
 
 
-def _next(methods: Sequence[MethodRuns], where: str) -> str:
+def following(methods: Sequence[MethodRuns], where: str) -> str:
     """The command that the numbers call for."""
     runs = [run for method in methods for run in method.runs]
     ill = next((run for run in runs if not run.done or is_dead(run)), None)

@@ -45,6 +45,13 @@ class Similarity(ABC):
         """The descriptors (N, D) of scans, the same bits as one by one."""
         return np.stack([self.describe(scan) for scan in scans])
 
+    def curve(self, descriptor: Descriptor) -> tuple[str, Array] | None:
+        """What of a descriptor (D,) a reader can look at, over the beams: its name with the unit,
+        and values (B,), NaN where undefined. None: it is no curve."""
+        if np.iscomplexobj(descriptor):
+            return "phase (deg)", np.degrees(np.angle(descriptor))
+        return "descriptor", np.asarray(descriptor, dtype=np.float64)
+
     @abstractmethod
     def scores(self, window: Descriptor, descriptor: Descriptor) -> Array:
         """Scores (W,) of the window's descriptors (W, D) against one descriptor (D,)."""

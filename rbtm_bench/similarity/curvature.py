@@ -45,6 +45,9 @@ class Curvature(PairwiseSimilarity):
             # + 0.0 turns -0.0 into 0.0, so that dx = 0 takes the sign of dy alone
             return np.arctan(dy / (dx + 0.0))
 
+    def curve(self, descriptor: Descriptor) -> tuple[str, Array]:
+        return "phi (deg)", np.degrees(descriptor)
+
     def pair_scores(self, rows: Descriptor, columns: Descriptor) -> Array:
         """Equation (3) over the values that both scans have."""
         x, x_known = _zero_unknown(rows)

@@ -93,6 +93,11 @@ class CurvatureCircular(PairwiseSimilarity):
         descriptor[np.maximum(0.0, 1.0 - mean_square) < self.min_variance] = 0.0
         return descriptor
 
+    def curve(self, descriptor: Descriptor) -> tuple[str, Array]:
+        """phi of u = exp(2i phi), in deg: modulo 180."""
+        real, imag, known = descriptor.reshape(3, -1)
+        return "phi (deg)", np.where(known > 0, np.degrees(np.arctan2(imag, real)) / 2, np.nan)
+
     def describe_all(self, scans: Sequence[Scan]) -> Array:
         angles = scans[0].angles
         if angles is None or any(

@@ -71,6 +71,9 @@ class PointSimilarity(Similarity):
             return descriptor_of(scan.points, len(scan.ranges))
         return descriptor_of(self._sample(scan), self.points)
 
+    def curve(self, descriptor: Descriptor) -> None:
+        """None: it is the points themselves."""
+
     def _sample(self, scan: Scan) -> Array:
         points = scan.points
         if not scan.planar:

@@ -57,6 +57,10 @@ class RangeCorrelation(PairwiseSimilarity):
         ranges = np.where(known, scan.ranges - mean, 0.0)
         return np.concatenate([ranges, ranges * ranges, known])
 
+    def curve(self, descriptor: Descriptor) -> tuple[str, Array]:
+        ranges, _, known = descriptor.reshape(3, -1)
+        return "range less its mean (m)", np.where(known > 0, ranges, np.nan)
+
     def pair_scores(self, rows: Descriptor, columns: Descriptor) -> Array:
         beams = rows.shape[-1] // 3
         most = 0

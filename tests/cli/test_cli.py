@@ -22,6 +22,7 @@ COMMANDS = (
     "show",
     "diff",
     "plot",
+    "report",
     "gate",
     "export",
     "new",

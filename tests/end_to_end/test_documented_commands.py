@@ -47,6 +47,7 @@ ELSEWHERE = {
     "rbtm-bench sweep '+point": "runs/test_experiments.py",
     "rbtm-bench sweep +experiment": "runs/test_experiments.py",
     "rbtm-bench table results/overnight": "report/test_best.py",
+    "rbtm-bench report results/sweep --serve": "page/test_live_page.py",
     "rbtm-bench run --config-dir mine": "calibration/test_calibrate_command.py",
     "rbtm-bench plot PATH": "plots/test_plots.py",
 }

@@ -70,6 +70,8 @@ def test_configs_travel_inside_the_package(wheel: Path) -> None:
     configs = {path.relative_to(REPO) for path in (REPO / "configs").rglob("*.yaml")}
     assert Path("configs/config.yaml") in configs
     assert {f"rbtm_bench/{path.as_posix()}" for path in configs} <= names
+    page = {f"rbtm_bench/page/{path.name}" for path in (REPO / "rbtm_bench/page").glob("*.*")}
+    assert "rbtm_bench/page/page.html" in page and page <= names
 
 
 def test_wheel_from_the_sdist_is_the_same(wheel: Path, tmp_path: Path) -> None:
