@@ -49,8 +49,8 @@ def table(words: list[str]) -> int:
     from rbtm_bench.report.replicates import number_of
 
     options = _table_parser().parse_args(words)
-    if options.metric and not (options.intervals or options.against):
-        raise ConfigError("--metric: goes with --intervals or --against; else use --columns")
+    if options.metric and not (options.intervals or options.against or options.paper):
+        raise ConfigError("--metric: goes with --intervals, --against, --paper; else --columns")
     if options.pool and not (options.intervals or options.against):
         raise ConfigError("--pool: goes with --intervals or --against")
     if options.mean and not options.intervals:
@@ -65,6 +65,9 @@ def table(words: list[str]) -> int:
     runs = stored.find_runs(options.paths)
     _warn(runs)
     chosen = _choose(runs, options) if choice else None
+    if options.paper:
+        print(_paper(chosen or frame.methods(runs), options))
+        return 0
     if options.intervals or options.against:
         _print_statistics(runs, options, chosen)
         return 0
@@ -87,6 +90,25 @@ def table(words: list[str]) -> int:
         return 0
     print(render.render(_columns(rows, options.columns)[0], options.format))
     return 0
+
+
+def _paper(methods: Sequence[MethodRuns], options: argparse.Namespace) -> str:
+    """The pivot of --paper. Raises ``ConfigError`` for what does not go with it."""
+    from rbtm_bench.report import typeset
+    from rbtm_bench.report.names import Names
+    from rbtm_bench.report.pivot import pivot
+    from rbtm_bench.report.with_intervals import named_metrics
+
+    fmt = "latex" if options.format == "text" else options.format
+    unfit = ("intervals", "against", "best", "over_seeds", "sort", "filter", "pool", "mean")
+    others = [f"--{name.replace('_', '-')}" for name in unfit if getattr(options, name)]
+    if others or fmt not in typeset.FORMATS:
+        what = others[0] if others else f"--format {fmt}"
+        raise ConfigError(f"{what}: does not go with --paper (latex, html or md)")
+    metrics = named_metrics([run for method in methods for run in method.runs], options.metric)
+    names = Names.read(options.names)
+    table = pivot(methods, options.rows, options.columns or "selector", metrics, names)
+    return typeset.typeset(table, fmt, not options.no_spread)
 
 
 def _print_rows(
@@ -177,7 +199,12 @@ def _table_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("paths", nargs="+", type=Path, metavar="PATH")
-    parser.add_argument("--format", "-f", choices=render.FORMATS, default="text")
+    alias = {"markdown": "md"}
+    parser.add_argument(
+        "--format", "-f", type=lambda word: alias.get(word, word), choices=render.FORMATS,
+        default="text",
+    )  # fmt: skip
+    _add_paper(parser)
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument(
         "--over-seeds",
@@ -223,6 +250,25 @@ def _table_parser() -> argparse.ArgumentParser:
         help="only these rows: pandas' query, such as \"backend == 'plicp' and window > 4\"",
     )
     return parser
+
+
+def _add_paper(parser: argparse.ArgumentParser) -> None:
+    """Options of the table for a paper."""
+    parser.add_argument(
+        "--paper",
+        action="store_true",
+        help="one number over two axes, best and ties marked, with its caption: LaTeX for \\input "
+        "(booktabs, siunitx), or -f html, -f md; --metric A: not the main error",
+    )
+    parser.add_argument(
+        "--rows", metavar="AXIS", default="backend",
+        help="with --paper: a group, GROUP.SETTING, settings, data or metric (default: backend; "
+        "--columns: selector)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--names", type=Path, metavar="FILE", help="with --paper: a YAML of names over ours"
+    )
+    parser.add_argument("--no-spread", action="store_true", help="with --paper: no quartiles")
 
 
 def _choose(runs: Sequence[Run], options: argparse.Namespace) -> list[MethodRuns]:
