@@ -142,14 +142,12 @@ def read_parquet(path: Path, columns: Sequence[str] | None = None) -> pa.Table:
         with pq.ParquetFile(path) as file:
             about = file.metadata
             groups = [about.row_group(i) for i in range(about.num_row_groups)]
-            unpacked = sum(
-                g.column(i).total_uncompressed_size for g in groups for i in range(g.num_columns)
-            )
+            columns_of = [g.column(i) for g in groups for i in range(g.num_columns)]
+            unpacked = sum(column.total_uncompressed_size for column in columns_of)
             cells = about.num_rows * about.num_columns
             if cells > CELLS or unpacked > UNPACKED_TIMES * size + UNPACKED_ALWAYS:
-                raise DataError(
-                    f"{path}: {about.num_rows} rows announced, {unpacked} bytes: refused"
-                )
+                what = f"{about.num_rows} rows, {unpacked} bytes"
+                raise DataError(f"{path}: announces {what} in a file of {size}: refused")
             names = set(file.schema_arrow.names)
             wanted = None if columns is None else [c for c in columns if c in names]
             return file.read(columns=wanted, use_threads=False)

@@ -6,15 +6,24 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rbtm_bench.core.bounded import read_yaml
 from rbtm_bench.core.columns import KNOWN
 from rbtm_bench.core.errors import ConfigError
-from rbtm_bench.report.frame import MethodRuns, data_labels
+from rbtm_bench.report.frame import data_labels
 from rbtm_bench.runs.stored import Run
 
 DEFAULTS = Path(__file__).with_name("names.yaml")
+NARROW = "\N{NO-BREAK SPACE}"
+_OF_BACKEND = "backend."
+_GAPS = re.compile(r"gaps of \S+( (window|threshold)=\S+)*")
 _UNIT = re.compile(r"_(m|mm|mm2|deg|ms|s|nat)$")
+
+
+def in_sentence(words: str) -> str:
+    """Words within a sentence: acronyms stay."""
+    return words[:1].lower() + words[1:] if words[1:2].islower() else words
 
 
 @dataclass(frozen=True)
@@ -73,17 +82,33 @@ class Names:
             return word
         return form.replace("{}", value) if form else f"{self.of('setting', key)} {value}"
 
-    def settings(self, method: MethodRuns) -> list[str]:
-        """What tells a method from others of its backend and selector, in words."""
-        row = method.row
-        own = [f"{k}={row[k]:g}" for k in ("window", "threshold") if row.get(k) is not None]
-        return [self.setting(word) for word in [*own, *str(row.get("settings") or "").split()]]
+    def settings(self, row: Mapping[str, Any]) -> list[str]:
+        """What tells a method (its row, ``frame.MethodRuns``) from others of its selector, in
+        words; what is of its backend goes with that (``backend``)."""
+        if str(row.get("control") or "").startswith("matched"):
+            return ["matched"]
+        own = [f"{k}={row[k]:.3g}" for k in ("window", "threshold") if row.get(k) is not None]
+        label = _GAPS.sub("", str(row.get("settings") or ""))
+        own += [word for word in label.split() if not word.startswith(_OF_BACKEND)]
+        return [self.setting(word) for word in own]
+
+    def method(self, row: Mapping[str, Any]) -> str:
+        """The strategy with its settings: "RBTM (window 10, Th 0.7)"."""
+        words = [word.replace(" ", NARROW) for word in self.settings(row)]
+        name = self.of("selector", str(row["selector"]))
+        return f"{name} ({', '.join(words)})" if words else name
+
+    def backend(self, row: Mapping[str, Any]) -> str:
+        """The backend with the settings that tell it from others of its name."""
+        label = str(row.get("settings") or "").split()
+        words = [self.setting(word) for word in label if word.startswith(_OF_BACKEND)]
+        return ", ".join([self.of("backend", str(row["backend"])), *words])
 
     def data(self, runs: Iterable[Run]) -> dict[Path, str]:
         """For every run its data in words, different where the data differ in their settings."""
         every = list(runs)
         labels = data_labels(every)
-        words = {run.path: self._data(run) for run in every}
+        words = {run.path: self.data_of(run) for run in every}
         of_word: dict[str, set[str]] = {}
         for run in every:
             of_word.setdefault(words[run.path], set()).add(labels[run.path])
@@ -92,7 +117,8 @@ class Names:
                 words[run.path] += f" ({labels[run.path]})"
         return words
 
-    def _data(self, run: Run) -> str:
+    def data_of(self, run: Run) -> str:
+        """A run's data by its file's name, environment or member."""
         section = run.section("dataset")
         stem = Path(str(section.get("path") or "")).name.split(".")[0]
         return self.of("data", stem or section.get("environment") or run.choices.get("dataset", ""))

@@ -11,6 +11,7 @@ from rbtm_bench.core import escape
 from rbtm_bench.report import better, pivot
 from rbtm_bench.report.best_settings import listed
 from rbtm_bench.report.margin import Margin
+from rbtm_bench.report.names import in_sentence
 from rbtm_bench.report.pivot import Block, PaperCell, Pivot
 
 FORMATS = ("latex", "html", "md")
@@ -99,7 +100,7 @@ def _entry(cell: PaperCell | None, spread: bool) -> Entry:
 def caption(table: Pivot, spread: bool) -> str:
     """Data, replicates, choice of settings, marks and test, in sentences."""
     names, keys, cells = table.names, table.keys, table.cells
-    what = listed([names.metric(keys[0]), *(_lower(names.metric(key)) for key in keys[1:])])
+    what = listed([names.metric(keys[0]), *(in_sentence(names.metric(key)) for key in keys[1:])])
     data = pivot.DATA in (table.rows, table.columns)
     where = "" if data else f" on {listed([block.data for block in table.blocks])}"
     unit, fewest, most = pivot.repeats(cells)
@@ -116,15 +117,10 @@ def caption(table: Pivot, spread: bool) -> str:
     if any(cell.best for cell in cells):
         words.append(_of_marks(table.blocks, cells))
         if any(c.method.row["backend"] == pivot.NOTHING for c in cells) and TIED in words[-1]:
-            words[-1] += f"; {_lower(names.of('backend', pivot.NOTHING))} is not tested"
+            words[-1] += f"; {in_sentence(names.of('backend', pivot.NOTHING))} is not tested"
     if any(cell.dead for cell in cells):
         words.append(f"{DEAD}: a run registered less than half of its scans")
     return ". ".join(words) + "."
-
-
-def _lower(words: str) -> str:
-    """Words within a sentence; acronyms stay."""
-    return words[:1].lower() + words[1:] if words[1:2].islower() else words
 
 
 def _of_settings(table: Pivot) -> list[str]:
@@ -139,7 +135,7 @@ def _of_settings(table: Pivot) -> list[str]:
         members = {"backend", "selector"} <= {table.rows, table.columns}
         kind = "settings" if members else "methods"
         text = f"In {which} the best of {many} {kind} on these data"
-        by = f", by {_lower(table.names.metric(table.keys[0]))}" if len(table.keys) > 1 else ""
+        by = f", by {in_sentence(table.names.metric(table.keys[0]))}" if len(table.keys) > 1 else ""
         out.append(text + by * (pivot.METRIC in (table.rows, table.columns)))
     return out
 
