@@ -61,7 +61,7 @@ OTHERS = (
     Look((0, (5, 1.5, 1, 1.5)), 1.1, "<"),
     Look((0, (1, 1.2)), 1.8, ">"),
     Look((0, (2, 1.2)), 1.1, "p"),
-    Look("-", 1.8, "X", filled=True),
+    Look((0, (9, 1.2)), 1.8, "X", filled=True),
 )
 """Of selectors of other packages, and of further settings of a selector."""
 

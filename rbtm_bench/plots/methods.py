@@ -222,7 +222,8 @@ def _draw_panel(ax: Axes, part: MethodErrors, backend: str) -> None:
         if len(values) > 1:
             ax.plot(np.median(values), height, ls="", **MEDIAN, zorder=4)
         if len(values) < ALL:
-            mark = {**own[row].mark, "ms": 3.2 if len(values) >= QUARTILES else 4.5}
+            small = {"ms": 3.2, "mew": 0.6} if len(values) >= QUARTILES else {}
+            mark = {**own[row].mark, **small}
             ax.plot(values, [height] * len(values), ls="", **mark, zorder=3)
     if part.guess is not None:
         ax.axvline(part.guess, **GUESS, zorder=1)

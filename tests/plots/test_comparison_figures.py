@@ -73,10 +73,11 @@ def test_methods_of_which_a_run_failed_are_pale_and_not_on_the_front(tmp_path: P
     runs += [make_run(tmp_path / "bad", error=None, seed=1)]
     data = data_of(*runs)
     points = cost.read(data, "final_translation_error_mm")
-    assert [point.whole for point in points] == [True, False, True]
+    assert {point.error: point.whole for point in points} == {1.0: False, 20.0: True, 30.0: True}
     assert [(p.time, p.error) for p in cost.front(points)] == [(2.0, 30.0), (3.0, 20.0)]
     (figure,) = cost.draw(data)
-    pale = [line.get_xdata()[0] for line in figure.axes[0].lines if line.get_alpha() is not None]
+    drawn = figure.axes[0].lines
+    pale = [line.get_xdata()[0] for line in drawn if line.get_alpha() == cost.PARTIAL]
     assert pale == [1.0] and "some runs failed" in texts(figure)
 
 
