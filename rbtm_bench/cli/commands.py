@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import sys
 
+from rbtm_bench.core.escape import harmless_output
 from rbtm_bench.core.guarded import guarded
 
 HELP = """\
@@ -67,7 +68,8 @@ def main(argv: list[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in words or bool(os.environ.get("HYDRA_FULL_ERROR"))
     words = [word for word in words if word != "--debug"]
-    return guarded(lambda: dispatch(words), debug)
+    with harmless_output():
+        return guarded(lambda: dispatch(words), debug)
 
 
 def dispatch(words: list[str]) -> int:

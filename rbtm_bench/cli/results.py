@@ -49,8 +49,8 @@ def table(words: list[str]) -> int:
     from rbtm_bench.report.replicates import number_of
 
     options = _table_parser().parse_args(words)
-    if options.metric and not (options.intervals or options.against):
-        raise ConfigError("--metric: goes with --intervals or --against; else use --columns")
+    if options.metric and not (options.intervals or options.against or options.paper):
+        raise ConfigError("--metric: goes with --intervals, --against, --paper; else --columns")
     if options.pool and not (options.intervals or options.against):
         raise ConfigError("--pool: goes with --intervals or --against")
     if options.mean and not options.intervals:
@@ -65,6 +65,9 @@ def table(words: list[str]) -> int:
     runs = stored.find_runs(options.paths)
     _warn(runs)
     chosen = _choose(runs, options) if choice else None
+    if options.paper:
+        print(_paper(chosen or frame.methods(runs), options))
+        return 0
     if options.intervals or options.against:
         _print_statistics(runs, options, chosen)
         return 0
@@ -87,6 +90,25 @@ def table(words: list[str]) -> int:
         return 0
     print(render.render(_columns(rows, options.columns)[0], options.format))
     return 0
+
+
+def _paper(methods: Sequence[MethodRuns], options: argparse.Namespace) -> str:
+    """The pivot of --paper. Raises ``ConfigError`` for what does not go with it."""
+    from rbtm_bench.report import typeset
+    from rbtm_bench.report.names import Names
+    from rbtm_bench.report.pivot import pivot
+    from rbtm_bench.report.with_intervals import named_metrics
+
+    fmt = "latex" if options.format == "text" else options.format
+    unfit = ("intervals", "against", "best", "over_seeds", "sort", "filter", "pool", "mean")
+    others = [f"--{name.replace('_', '-')}" for name in unfit if getattr(options, name)]
+    if others or fmt not in typeset.FORMATS:
+        what = others[0] if others else f"--format {fmt}"
+        raise ConfigError(f"{what}: does not go with --paper (latex, html or md)")
+    metrics = named_metrics([run for method in methods for run in method.runs], options.metric)
+    names = Names.read(options.names)
+    table = pivot(methods, options.rows, options.columns or "selector", metrics, names)
+    return typeset.typeset(table, fmt, not options.no_spread)
 
 
 def _print_rows(
@@ -177,7 +199,12 @@ def _table_parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("paths", nargs="+", type=Path, metavar="PATH")
-    parser.add_argument("--format", "-f", choices=render.FORMATS, default="text")
+    alias = {"markdown": "md"}
+    parser.add_argument(
+        "--format", "-f", type=lambda word: alias.get(word, word), choices=render.FORMATS,
+        default="text",
+    )  # fmt: skip
+    _add_paper(parser)
     kind = parser.add_mutually_exclusive_group()
     kind.add_argument(
         "--over-seeds",
@@ -223,6 +250,25 @@ def _table_parser() -> argparse.ArgumentParser:
         help="only these rows: pandas' query, such as \"backend == 'plicp' and window > 4\"",
     )
     return parser
+
+
+def _add_paper(parser: argparse.ArgumentParser) -> None:
+    """Options of the table for a paper."""
+    parser.add_argument(
+        "--paper",
+        action="store_true",
+        help="one number over two axes, best and ties marked, with its caption: LaTeX for \\input "
+        "(booktabs, siunitx), or -f html, -f md; --metric A: not the main error",
+    )
+    parser.add_argument(
+        "--rows", metavar="AXIS", default="backend",
+        help="with --paper: a group, GROUP.SETTING, settings, data or metric (default: backend; "
+        "--columns: selector)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--names", type=Path, metavar="FILE", help="with --paper: a YAML of names over ours"
+    )
+    parser.add_argument("--no-spread", action="store_true", help="with --paper: no quartiles")
 
 
 def _choose(runs: Sequence[Run], options: argparse.Namespace) -> list[MethodRuns]:
@@ -330,20 +376,46 @@ def plot(words: list[str]) -> int:
     """``rbtm-bench plot PATH...``: figures beside the runs."""
     parser = argparse.ArgumentParser(
         prog="rbtm-bench plot",
-        description="Figures of runs (PNG and PDF): map and occupancy grid with trajectory and "
+        description="Figures of runs (PNG, PDF, SVG): map and occupancy grid with trajectory and "
         "truth, standard beside rbtm, similarity matrix, gap over time; of methods side by side "
-        "their paths, error over the path, error by method, box plots over seeds, accuracy "
+        "their paths, error over the path, error by method with its spread, accuracy "
         "against time with the Pareto front; of a sweep heat maps of the error over threshold "
         "and window. Only what makes sense for the runs (docs/figures.md). Several sweeps are "
         "merged.",
     )
     parser.add_argument("paths", nargs="+", type=Path, metavar="PATH")
     parser.add_argument("--out", type=Path, help="folder (default: figures/ in the first PATH)")
+    _add_drawing(parser)
     options = parser.parse_args(words)
     from rbtm_bench import plots
+    from rbtm_bench.plots.style import Drawing
+    from rbtm_bench.report.names import Names
 
     runs = stored.find_runs(options.paths)
     _warn(runs)
-    for file in plots.draw(runs, options.out or options.paths[0] / "figures"):
+    drawing = Drawing(
+        options.style, not options.no_titles, options.format or ("png", "pdf"),
+        Names.read(options.names),
+    )  # fmt: skip
+    out = options.out or options.paths[0] / "figures"
+    for file in plots.draw(runs, out, options.only or (), drawing):
         print(file)
     return 0
+
+
+def _add_drawing(parser: argparse.ArgumentParser) -> None:
+    """Options of how figures are drawn."""
+    parser.add_argument(
+        "--only", action="append", metavar="NAME",
+        help="this figure (errors, trajectories, accuracy_time, ...: docs/figures.md); repeatable",
+    )  # fmt: skip
+    parser.add_argument(
+        "--style", choices=("paper", "talk"), default="paper",
+        help="letters of 8 points in a column's width, or larger ones and thicker lines",
+    )  # fmt: skip
+    parser.add_argument("--no-titles", action="store_true", help="the caption says it")
+    parser.add_argument(
+        "--format", action="append", choices=("png", "pdf", "svg"),
+        help="repeatable (default: png and pdf)",
+    )  # fmt: skip
+    parser.add_argument("--names", type=Path, metavar="FILE", help="a YAML of names over ours")

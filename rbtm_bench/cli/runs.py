@@ -100,6 +100,11 @@ def parse(command: str, text: str, words: list[str]) -> tuple[argparse.Namespace
         parser.add_argument(
             "--fail-fast", action="store_true", help="start nothing new after the first failure"
         )
+        parser.add_argument(
+            "--trust", action="store_true",
+            help="with --resume: also what its sweep.json names outside rbtm_bench and its folder "
+            "(plug-ins, another working folder)",
+        )  # fmt: skip
     if command == "compare":
         parser.add_argument(
             "--jobs",

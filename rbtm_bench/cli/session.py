@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.engine import sweep_folder
 from rbtm_bench.engine.driver import Grid, drive
 from rbtm_bench.engine.sweep_folder import Asked, Kind
@@ -26,9 +27,14 @@ def asked(
         yield sweep_folder.Asked.now(kind, words, overrides, dirs, quick), None
         return
     folder = Path(options.resume)
-    resumed = sweep_folder.Asked.read(folder, kind).again(
-        overrides, options.fail_fast, options.config_dir
-    )
+    stored = sweep_folder.Asked.read(folder, kind)
+    sweep_folder.refuse_links(folder)
+    if not options.trust and (strange := stored.strange(folder, options.config_dir)):
+        raise ConfigError(
+            f"--resume {folder}: its {sweep_folder.FILE} names {'; '.join(strange)}: "
+            "only if you know who wrote it, add --trust"
+        )
+    resumed = stored.again(overrides, options.fail_fast, options.config_dir)
     for change in resumed.changes():
         print(f"rbtm-bench: since {folder} was begun: {change}", file=sys.stderr)
     if resumed.cwd == os.getcwd():

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rbtm_bench.core.bounded import size_of
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.files import write_atomically
 from rbtm_bench.core.types import Array
@@ -106,6 +107,7 @@ class Trajectory:
         from evo.tools.file_interface import FileInterfaceException, read_tum_trajectory_file
         from scipy.spatial.transform import Rotation
 
+        size_of(Path(path))
         try:
             with open(path, encoding="utf-8-sig", newline="") as file:
                 poses = read_tum_trajectory_file(file)

@@ -4,11 +4,13 @@ them."""
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import threading
 import weakref
 from pathlib import Path
+
+from rbtm_bench.core.bounded import read_json
+from rbtm_bench.core.errors import DataError
 
 LIMIT = 500e6
 """Bytes kept at most; of files beyond that a change is noticed, but not undone."""
@@ -29,8 +31,8 @@ class Kept:
         """Keep every run in the folder that has ended."""
         self._keep(self.folder / "sweep.json")
         for record in self.folder.glob("*/run.json"):
-            with contextlib.suppress(OSError, ValueError, AttributeError):
-                if json.loads(record.read_bytes()).get("status") in ("done", "failed"):
+            with contextlib.suppress(DataError):
+                if read_json(record).get("status") in ("done", "failed"):
                     self.keep(record.parent)
 
     def keep(self, run: Path) -> None:

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from rbtm_bench.core import escape
+
 LINE_S = 60.0
 """Least time between two lines that stand for a bar."""
 UNTIL_DONE = "time unknown until the first run is done"
@@ -141,7 +143,7 @@ class RunBar:
         left = self._seconds_left()
         if left is not None:
             words.append(f"{clock_face(left)} left")
-        return ", ".join(words)
+        return escape.terminal(", ".join(words))
 
     def _work(self) -> float:
         """Runs that this process has done, parts of runs included."""
@@ -211,7 +213,7 @@ def _rich(time_left: bool) -> Any:
         BarColumn(),
         MofNCompleteColumn(),
         *([TimeRemainingColumn()] if time_left else []),
-        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[note]}", markup=False),
         console=Console(stderr=True),
         transient=True,
     )

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import json
 import os
 import platform
+import re
 import shlex
 import signal
 import sys
@@ -23,7 +23,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rbtm_bench import __version__
-from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.core.bounded import read_json
+from rbtm_bench.core.errors import ConfigError, DataError, one_line
 from rbtm_bench.core.files import make_folder, write_json
 from rbtm_bench.runs import experiment, provenance, stored
 from rbtm_bench.runs.claim import lock
@@ -38,6 +39,12 @@ LIMITS = ("time_limit", "memory_limit")
 """Settings that may be others when it goes on: what a run gives does not depend on them."""
 STOP = "stopped"
 """Made by ``--fail-fast`` at the first failure: jobs that find it do not begin."""
+_TARGET = re.compile(r"_target_['\"]?\s*[:=]\s*['\"]?([^\s,}'\"]*)")
+_RESOLVER = re.compile(r"\$\{[^}]*:")
+"""Code that OmegaConf calls for a value, such as ${oc.env:HOME}."""
+_HARMLESS = re.compile(r"hydra/launcher=\w+|hydra\.launcher\.(n_jobs|timeout_min)=\d+")
+_PARTIAL = re.compile(r"\.\d+\.partial\.[\w.]+")
+"""What ``core.files`` calls a file that is being written."""
 LOCK_S = 5.0
 """What the last processes of a killed sweep get to go away before it is resumed."""
 
@@ -91,9 +98,12 @@ class Asked:
             what = NAMES[kind] if kind else "sweep"
             raise ConfigError(f"--resume {folder}: no {what} was begun there (no {FILE} in it)")
         try:
-            asked = cls(**json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError, RecursionError) as error:
-            raise DataError(f"{path}: cannot be read: {error}") from error
+            asked = cls(**read_json(path))
+        except TypeError as error:
+            raise DataError(f"{path}: cannot be read: {one_line(error)}") from error
+        lists = (asked.overrides, asked.config_dirs, asked.command)
+        if not all(isinstance(one, list) and all(isinstance(w, str) for w in one) for one in lists):
+            raise DataError(f"{path}: cannot be read: expected lists of words")
         if kind and asked.kind != kind:
             raise ConfigError(
                 f"--resume {folder}: holds a {NAMES.get(asked.kind, asked.kind)}; "
@@ -127,6 +137,27 @@ class Asked:
             fail_fast=fail_fast,
             pid=os.getpid(),
         )
+
+    def strange(self, folder: Path, dirs: Iterable[str]) -> list[str]:
+        """What of it reaches beyond our own code and its folder: whoever wrote the file decides
+        what is run and where. ``dirs``: folders of configs that were named now."""
+        named = {str(Path(one).resolve()) for one in dirs}
+        what = [f"the working folder {self.cwd}"] * (self.cwd != os.getcwd())
+        what += [f"plug-ins from {one}" for one in self.config_dirs if not named]
+        inside = folder.resolve()
+        for word in self.overrides:
+            key, _, value = word.partition("=")
+            key = key.lstrip("+~")
+            elsewhere = key == "pairs.folder" and value not in ("", "null")
+            if elsewhere and (inside / value.strip("'\"")).resolve().is_relative_to(inside):
+                continue
+            targets = _TARGET.findall(word)
+            ours = all(target.startswith("rbtm_bench.") for target in targets)
+            hydra_s = key.startswith("hydra") and not _HARMLESS.fullmatch(word)
+            outside = ".." in value and "." not in key  # a member beyond the folders of configs
+            if elsewhere or hydra_s or not ours or outside or _RESOLVER.search(word):
+                what.append(word)
+        return what
 
     def changes(self) -> list[str]:
         """A line for every version that is not what it was."""
@@ -211,13 +242,21 @@ def minding_ctrl_c() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def refuse_links(out: Path) -> None:
+    """Raise ``ConfigError`` if the folder of a sweep, or a run of it, holds a link: what is
+    resumed writes and removes files in them."""
+    for folder in (out, *(path for path in out.iterdir() if path.is_dir())):
+        for path in (folder, *folder.iterdir()) if not folder.is_symlink() else (folder,):
+            if path.is_symlink() and path != out:
+                raise ConfigError(f"{path}: a link; --resume follows none: move it away")
+
+
 def record_of(folder: Path) -> dict[str, Any]:
     """A run folder's run.json; {} if there is none that can be read."""
     try:
-        record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_json(folder / "run.json")
+    except DataError:
         return {}
-    return record if isinstance(record, dict) else {}
 
 
 def status(folder: Path) -> str | None:
@@ -228,9 +267,9 @@ def status(folder: Path) -> str | None:
 def registrations(folder: Path) -> tuple[int, float]:
     """How many registrations a run asked for, and the share that had been computed before."""
     try:
-        values = json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+        values = read_json(folder / "metrics.json")
         return int(values["registrations"]), float(values["reused"] or 0.0)
-    except (OSError, ValueError, TypeError, KeyError):
+    except (DataError, ValueError, TypeError, KeyError):
         return 0, 0.0
 
 
@@ -249,13 +288,15 @@ def is_whole(folder: Path) -> bool:
     if record.get("status") != "done":
         return False
     sizes = {p.name: p.stat().st_size for p in folder.iterdir() if p.name in experiment.FILES}
+    if not all((folder / name).is_file() for name in sizes):  # a FIFO does not end
+        return False
     needed = ("config.yaml", "metrics.json", "steps.parquet", "trajectory.tum")
     if not all(sizes.values()) or not all(name in sizes for name in needed):
         return False
     try:
-        json.loads((folder / "metrics.json").read_text(encoding="utf-8"))
+        read_json(folder / "metrics.json")
         return bool(pq.read_metadata(folder / "steps.parquet").num_rows == record.get("scans"))
-    except (OSError, ValueError, pa.ArrowException):
+    except (DataError, OSError, ValueError, pa.ArrowException):
         return False
 
 
@@ -271,9 +312,10 @@ def is_finished(folder: Path, settings: Settings) -> bool:
 
 
 def clear(folders: Iterable[Path]) -> None:
-    """Remove the runs in these folders, half-written files included, and nothing else."""
+    """Remove the runs in these folders, half-written files included, and nothing else. What a
+    link leads to stays as it is."""
     for folder in folders:
-        if folder.is_dir():
+        if folder.is_dir() and not folder.is_symlink():
             experiment.clear(folder)
             clear_partial(folder)
 
@@ -281,7 +323,8 @@ def clear(folders: Iterable[Path]) -> None:
 def clear_partial(folder: Path) -> None:
     """Remove what a killed process was writing."""
     for path in folder.glob(".*.partial.*"):
-        path.unlink(missing_ok=True)
+        if _PARTIAL.fullmatch(path.name) and path.is_file():
+            path.unlink(missing_ok=True)
 
 
 def run_folders(out: Path) -> list[Path]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rbtm_bench.core.bounded import read_parquet
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.files import write_atomically
 from rbtm_bench.core.trajectory import Mask
@@ -50,14 +51,11 @@ class RelationErrors:
     @classmethod
     def read(cls, path: Path) -> RelationErrors:
         """Read it back. Raises ``DataError`` for a file that is missing or damaged."""
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
         try:
-            table = pq.read_table(path, columns=list(COLUMNS))
+            table = read_parquet(path, COLUMNS)
             columns = {name: table[name].to_numpy() for name in COLUMNS}
             local = columns.pop("local").astype(bool)
             return cls(local=local, **{k: v.astype(np.float64) for k, v in columns.items()})
-        except (OSError, KeyError, TypeError, ValueError, pa.ArrowException) as error:
+        except (KeyError, TypeError, ValueError) as error:
             text = " ".join(str(error).split()) or type(error).__name__
             raise DataError(f"{path}: errors of relations cannot be read: {text}") from error

@@ -38,11 +38,11 @@ def draw(by_backend: Mapping[str, Shares], title: str) -> Figure:
         ax.set_title(style.plain(name))
     for ax in list(axes.flat)[len(by_backend) :]:
         ax.set_axis_off()
-    figure.supxlabel("rotation error of the initial guess (deg)", fontsize=style.FONT)
-    figure.supylabel("translation error of the initial guess (m)", fontsize=style.FONT)
+    figure.supxlabel("rotation error of the initial guess (deg)", fontsize=style.font())
+    figure.supylabel("translation error of the initial guess (m)", fontsize=style.font())
     if image is not None:
         figure.colorbar(image, ax=list(axes.flat), label="found (%)", shrink=0.6)
-    figure.suptitle(style.wrapped(title, size[0]))
+    style.title(figure, title, size[0])
     return figure
 
 

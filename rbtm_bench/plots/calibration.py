@@ -15,7 +15,7 @@ from matplotlib.ticker import PercentFormatter
 
 from rbtm_bench.core.types import Array
 from rbtm_bench.plots import style
-from rbtm_bench.plots.looks import GREY, OTHERS, Look
+from rbtm_bench.plots.looks import GREY, Look, numbered
 
 COLUMNS = 3
 PANEL = (2.2, 1.9)
@@ -136,7 +136,7 @@ def _success(name: str, curves: pd.DataFrame, within: tuple[float, float], what:
     backends = list(dict.fromkeys(curves["backend"]))
     handles = []
     for number, backend in enumerate(backends):
-        look = OTHERS[number % len(OTHERS)]
+        look = numbered(number)
         for ax, gap in ((left, "all"), (right, "equal")):
             bins = curves[
                 (curves["backend"] == backend)
@@ -189,7 +189,7 @@ def _areas(roc: pd.DataFrame, kind: str, within: tuple[float, float], what: str)
     for ax, how in zip(axes, compared, strict=True):
         ax.axvline(0.5, color=GREY, lw=1.0, ls=(0, (1, 1.5)))
         for number, backend in enumerate(backends):
-            look = OTHERS[number % len(OTHERS)]
+            look = numbered(number)
             rows = roc[(roc["compared"] == how) & (roc["backend"] == backend)]
             at = [
                 names.index(p) + (number + 0.5) / len(backends) * 0.7 - 0.35
@@ -204,7 +204,7 @@ def _areas(roc: pd.DataFrame, kind: str, within: tuple[float, float], what: str)
         for line in range(1, len(names)):
             ax.axhline(line - 0.5, color="0.9", lw=0.5)
     handles = [
-        Line2D([], [], ls="", label=style.plain(b), **OTHERS[n % len(OTHERS)].mark)
+        Line2D([], [], ls="", label=style.plain(b), **numbered(n).mark)
         for n, b in enumerate(backends)
     ]
     handles.append(Line2D([], [], color=GREY, lw=1.0, ls=(0, (1, 1.5)), label="chance"))

@@ -12,25 +12,20 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
 from rbtm_bench.plots import groups, labels, panels, style
-from rbtm_bench.plots.groups import FEW, Data
+from rbtm_bench.plots.groups import Data
 from rbtm_bench.plots.heatmaps import short
 from rbtm_bench.plots.looks import GUESS, Look, looks
 from rbtm_bench.plots.placing import Label, place
 
 TIME = "ms_per_scan"
-LINKED = 5
-"""Backends up to which lines join the points of each, so that one label is enough."""
-LABELLED = 30
-"""Points up to which else all show their backend; of more, those on the front and the best of
-every backend."""
-SMALL = 8
-"""Points up to which one column is wide enough."""
+WIDE = 5
+"""Backends from which on both columns are taken."""
 FAR = 1e6
 """Factor to a place beyond the axes."""
 FRONT: dict[str, Any] = {"color": "0.45", "lw": 1.4, "ls": "-"}
-LINK: dict[str, Any] = {"color": "0.65", "lw": 0.6, "ls": "-"}
+LINK: dict[str, Any] = {"lw": 0.6, "ls": "-", "alpha": 0.6}
 """Between the methods of a backend."""
-SPREAD: dict[str, Any] = {"color": "0.35", "lw": 0.8, "ls": "-"}
+SPREAD: dict[str, Any] = {"lw": 0.8, "ls": "-"}
 """From quartile to quartile of the error."""
 FEWEST = 4
 """Runs from which on quartiles mean something."""
@@ -70,74 +65,56 @@ def draw(data: Data) -> Iterator[Figure]:
     if unit == "mm" and max(point.error for point in points) >= labels.LARGE:
         points = [point.scaled(1e-3) for point in points]
         unit, guess = "m", None if guess is None else 1e-3 * guess
-    width = style.SINGLE if len(points) <= SMALL else style.DOUBLE
-    height = 3.4 if width == style.SINGLE else 4.2 if len(points) <= LABELLED else 5.2
-    figure = Figure(figsize=(width, height))
+    width = style.SINGLE if len(data.panels) < WIDE else style.DOUBLE
+    figure = Figure(figsize=(width, 3.4 if width == style.SINGLE else 4.2))
     ax = figure.add_subplot()
     ax.set(xlabel="time a scan (ms)", ylabel=f"{name} ({unit})", xscale="log", yscale="log")
-    own = _by_selector(data)
+    own, colours = _by_selector(data), data.colours
     for point in points:
-        look = own[point.method].mark | ({} if point.whole else {"alpha": PARTIAL})
+        colour = colours[point.backend]
+        look = own[point.method].of(colour).mark | ({} if point.whole else {"alpha": PARTIAL})
         if point.quartiles is not None:
-            ax.plot([point.time] * 2, point.quartiles, **SPREAD, zorder=3)
+            ax.plot([point.time] * 2, point.quartiles, color=colour, **SPREAD, zorder=3)
         ax.plot(point.time, point.error, **look, ls="", zorder=4)
     best = front(points)
     corners = _draw_front(ax, best)
     top = _limits(ax, points)
     if guess is not None and guess <= top:
         ax.axhline(guess, **GUESS, zorder=1)
-    names, note = _names(ax, data, points, best)
-    figure.suptitle(style.wrapped(_title(data, note), width))
+    names = [
+        Label(backend, places, colours[backend]) for backend, places in _link(ax, points, colours)
+    ]
+    style.title(figure, _title(data), width)
     handles = _handles(data, own, points)
-    if guess is not None:
-        far = "" if guess <= top else f": {labels.quantity(guess, unit)}, not drawn"
-        handles.append(panels.handle(f"the guess alone{far}", **GUESS))
+    if guess is not None and guess <= top:
+        handles.append(panels.handle(labels.member("backend", "none"), **GUESS))
+    elif guess is not None:
+        far = (
+            f"{labels.member('backend', 'none')}: {labels.quantity(guess, unit)} \N{UPWARDS ARROW}"
+        )
+        ax.text(0.98, 0.98, far, transform=ax.transAxes, ha="right", va="top", color="0.25")
     style.legend_below(figure, handles, panels.abreast(handles, width))
     place(figure, ax, names, [(p.time, p.error) for p in points], corners)
     yield figure
 
 
-def _title(data: Data, note: str) -> str:
+def _title(data: Data) -> str:
     most = max(len(method.counted) for panel in data.panels for method in panel.methods)
     medians = f"medians of {most} {groups.repeats(data.runs)}" if most > 1 else ""
     medians += " (bars: quartiles)" if most >= FEWEST else ""
-    return ", ".join(filter(None, [f"{data.name}: accuracy against time", medians, note]))
+    return ", ".join(filter(None, [f"{data.name}: accuracy against time", medians]))
 
 
-def _names(
-    ax: Axes, data: Data, points: Sequence[CostPoint], best: Sequence[CostPoint]
-) -> tuple[list[Label], str]:
-    """What to write beside which points, and a note on it for the title."""
-    lone = len(data.panels) == 1 and len(set(data.methods.values())) == 1
-    if lone and len(points) <= FEW:  # settings of one selector
-        selector = next(iter(data.methods.values()))
-        own = {p: p.method.removeprefix(f"{selector}, ") for p in points}
-        return [Label(name, ((p.time, p.error),)) for p, name in own.items()], ""
-    if len(data.panels) <= LINKED and max(len(p.methods) for p in data.panels) <= FEW:
-        return [Label(backend, places) for backend, places in _link(ax, points).items()], ""
-    settings = len(set(data.methods.values())) < len(data.methods)
-    note = "settings named on the front" if settings else ""
-    named = list(points)
-    if len(points) > LABELLED:
-        firsts = {point.backend: point for point in sorted(points, key=lambda p: -p.error)}
-        named = [p for p in points if p in best or p is firsts[p.backend]]
-        note = "named: the front and the best of every backend"
-    words = {
-        point: f"{point.backend}, {point.method}" if settings and point in best else point.backend
-        for point in named
-    }
-    note = f"{len(points)} methods, {note}" if note else ""
-    return [Label(text, ((p.time, p.error),)) for p, text in words.items()], note
-
-
-def _link(ax: Axes, points: Sequence[CostPoint]) -> dict[str, tuple[tuple[float, float], ...]]:
-    """Join the points of a backend by a thin line; returns their places by backend."""
+def _link(
+    ax: Axes, points: Sequence[CostPoint], colours: dict[str, str]
+) -> list[tuple[str, tuple[tuple[float, float], ...]]]:
+    """Join the points of a backend by a thin line; returns its name and their places."""
     places: dict[str, tuple[tuple[float, float], ...]] = {}
-    for point in sorted(points, key=lambda p: p.error):
+    for point in sorted(points, key=lambda p: p.time):  # so that a line crosses none of its own
         places[point.backend] = (*places.get(point.backend, ()), (point.time, point.error))
-    for line in places.values():
-        ax.plot(*zip(*line, strict=True), **LINK, zorder=1)
-    return places
+    for backend, line in places.items():
+        ax.plot(*zip(*line, strict=True), color=colours[backend], **LINK, zorder=1)
+    return list(places.items())
 
 
 def read(data: Data, key: str) -> list[CostPoint]:
@@ -212,11 +189,11 @@ def _by_selector(data: Data) -> dict[str, Look]:
 def _handles(data: Data, own: dict[str, Look], points: Sequence[CostPoint]) -> list[Any]:
     marks = {selector: own[name].mark for name, selector in reversed(data.methods.items())}
     out = [
-        panels.handle("whole system" if selector == "none" else selector, ls="", **mark)
+        panels.handle(style.names().of("selector", selector), ls="", **mark)
         for selector, mark in reversed(marks.items())
     ]
     out.append(panels.handle("Pareto front", **FRONT))
     if not all(point.whole for point in points):
         look = {"marker": "o", "mfc": "w", "mec": style.BLACK, "alpha": PARTIAL, "ms": 4.5}
-        out.append(panels.handle("pale: some runs failed", ls="", **look))
+        out.append(panels.handle("some runs failed", ls="", **look))
     return out

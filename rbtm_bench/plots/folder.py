@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rbtm_bench.core.bounded import read_parquet
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.geometry import inverse
 from rbtm_bench.core.trajectory import Trajectory
@@ -110,20 +111,17 @@ def read_occupancy(run: Run) -> Occupancy | None:
 
 def read_steps(run: Run) -> Steps | None:
     """The steps, None without their file or any row. Raises ``DataError``."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     path = run.path / "steps.parquet"
     if not path.is_file():
         return None
+    names = ["scan", "gap", "score", "status"]
+    table = read_parquet(path, [*names, NEWER])
+    known = NEWER in table.column_names
     try:
-        names = ["scan", "gap", "score", "status"]
-        known = NEWER in pq.read_schema(path).names
-        table = pq.read_table(path, columns=[*names, NEWER] if known else names)
         scan, gap, score = (table[name].to_numpy().astype(np.float64) for name in names[:3])
         held = table[NEWER].to_numpy().astype(np.float64) if known else np.full(len(scan), np.nan)
         status = np.array([str(word) for word in table["status"].to_pylist()])
-    except (pa.ArrowException, OSError, KeyError, ValueError) as error:
+    except (KeyError, ValueError) as error:
         raise DataError(f"{path}: not a readable table of steps: {_line(error)}") from error
     return Steps(scan, gap, score, held, status) if len(scan) else None
 

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from rbtm_bench.plots import labels
+import numpy as np
+
+from rbtm_bench.plots import labels, style
+from rbtm_bench.plots.looks import colours
 from rbtm_bench.report import frame
-from rbtm_bench.report.replicates import counted, number_of
-from rbtm_bench.runs.stored import Run
+from rbtm_bench.report.best_settings import NO_METHODS
+from rbtm_bench.report.frame import MethodRuns
+from rbtm_bench.report.replicates import SHIFTED, counted, number_of
+from rbtm_bench.runs.stored import Run, is_number
 
 FEW = 6
 """Methods that lines in one panel can tell apart."""
@@ -18,24 +25,34 @@ FEW = 6
 @dataclass(frozen=True, eq=False)
 class Method:
     """A selector with its settings. ``runs`` are those that are done and differ in their seed or
-    replicate alone, the lowest first; ``failed`` counts those that are not done."""
+    replicate alone, the lowest first; ``failed`` counts those that are not done. ``control``: it
+    was added, not asked for."""
 
     name: str
     selector: str
     runs: list[Run]
     failed: int
+    control: bool = False
 
     @property
     def counted(self) -> list[Run]:
         """The runs whose errors stand for the method: where there are replicates, those."""
         return counted(self.runs)
 
+    def error(self, key: str) -> float | None:
+        """The median of an error; None where a run failed, or has none."""
+        known = [labels.value(run, key) for run in self.counted]
+        values = [value for value in known if value is not None]
+        whole = values and len(values) == len(known) and not self.failed
+        return float(np.median(values)) if whole else None
+
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One backend (with what else tells backends apart) and its methods."""
+    """One backend (``name``: with what else tells backends apart, ``backend``: the member)."""
 
     name: str
+    backend: str
     methods: list[Method]
 
 
@@ -57,27 +74,54 @@ class Data:
         return {method.name: method.selector for p in self.panels for method in p.methods}
 
     @property
+    def colours(self) -> dict[str, str]:
+        """The colour of every panel."""
+        names = [panel.backend for panel in self.panels]
+        if len(set(names)) < len(names):  # settings of one backend: a colour each
+            return colours(panel.name for panel in self.panels)
+        own = colours(names)
+        return {panel.name: own[panel.backend] for panel in self.panels}
+
+    @property
     def several(self) -> bool:
         """Whether the panels hold two methods or more to compare."""
         return sum(len(panel.methods) for panel in self.panels) > 1
 
+    @property
+    def winner(self) -> Method | None:
+        """The method with the least main error; the oracle is none."""
+        error = labels.main_error([run for run in self.runs if run.done])
+        known: list[tuple[float, Method]] = []
+        for method in (method for panel in self.panels for method in panel.methods):
+            value = method.error(error[0]) if error else None
+            if value is not None and method.selector not in NO_METHODS:
+                known.append((value, method))
+        return min(known, key=lambda pair: pair[0])[1] if known else None
+
     def few(self) -> tuple[Data, str]:
         """The same with so few methods that lines in a panel stay distinct, and a note for the
         title: of more than 6, the first setting of every selector (not the best: that would
-        be chosen on this very data)."""
+        be chosen on this very data) and the winner."""
         if max(len(panel.methods) for panel in self.panels) <= FEW:
             return self, ""
         first: dict[str, str] = {}
+        asked: dict[bool, dict[str, str]] = {False: {}, True: {}}
         for run in self.runs:  # in the order of their folders, as for every other choice of one
             for panel in self.panels:
                 for method in panel.methods:
                     if run in method.runs:
-                        first.setdefault(method.selector, method.name)
+                        asked[method.control].setdefault(method.selector, method.name)
+        first = asked[True] | asked[False]
+        won = self.winner
         kept = [
-            Panel(panel.name, [m for m in panel.methods if first.get(m.selector) == m.name])
+            Panel(
+                panel.name,
+                panel.backend,
+                [m for m in panel.methods if first.get(m.selector) == m.name or m is won],
+            )
             for panel in self.panels
         ]
-        note = "of several settings of a selector the first"
+        note = "of several settings of a strategy the first, and the best of all"
         panels = [panel for panel in kept if panel.methods]
         return Data(self.stem, self.name, self.runs, panels, self.guess), note
 
@@ -88,18 +132,20 @@ def repeats(runs: Sequence[Run]) -> str:
 
 
 def by_data(runs: Sequence[Run]) -> list[tuple[str, str, list[Run]]]:
-    """File stem, name in words and runs of every data set."""
+    """File stem, name in words and runs of every data set; without rotations of a run's gaps,
+    which are a test, unless there is nothing else."""
+    runs = [run for run in runs if labels.choice(run, "selector") != SHIFTED] or runs
     groups: dict[str, list[Run]] = {}
     for run in runs:
         groups.setdefault(labels.data_key(run), []).append(run)
-    words = labels.varying([group[0] for group in groups.values()], "dataset")
+    firsts = [group[0] for group in groups.values()]
+    own = labels.varying(firsts, "dataset")
+    words = style.names().data(firsts)
     out: list[tuple[str, str, list[Run]]] = []
-    for group in groups.values():
-        own, name = words[group[0]], labels.data_name(group[0])
-        stem = file_name("-".join([labels.choice(group[0], "dataset"), *own]))
-        in_name = [word for word in own if f"({word.removeprefix('environment=')})" in name]
-        title = ", ".join([name, *(word for word in own if word not in in_name)])
-        out.append((unique(stem, [other for other, _, _ in out]), title, group))
+    for first, group in zip(firsts, groups.values(), strict=True):
+        stem = file_name("-".join([labels.choice(first, "dataset"), *own[first]]))
+        stem = unique(stem, [other for other, _, _ in out])
+        out.append((stem, words[first.path], group))
     return out
 
 
@@ -131,41 +177,37 @@ def data_sets(runs: Sequence[Run]) -> list[Data]:
 
 
 def _panels(runs: list[Run]) -> list[Panel]:
-    """Panels with a method that has a run; methods in one order, rbtm last."""
-    settings = labels.varying(runs, "backend")
-    names = method_names(runs)
-    panels: dict[str, dict[str, list[Run]]] = {}
-    for run in runs:
-        panels.setdefault(", ".join([labels.choice(run, "backend"), *settings[run]]), {})
-    for run in sorted(runs, key=labels.method_order):
-        panel = ", ".join([labels.choice(run, "backend"), *settings[run]])
-        panels[panel].setdefault(names[run], []).append(run)
-    out = []
-    for panel, methods in panels.items():
-        all_methods = [_method(name, members) for name, members in methods.items()]
-        out.append(Panel(panel, [method for method in all_methods if method.runs]))
-    return [panel for panel in out if panel.methods]
+    """Panels with a method that has a run, methods in one order."""
+    names = style.names()
+    panels: dict[str, Panel] = {}
+    for method in sorted(frame.methods(runs), key=order):
+        done = sorted((run for run in method.runs if run.done), key=labels.seed_order)
+        if not done:
+            continue
+        row = as_asked(method)
+        name, failed = names.method(row), len(method.runs) - len(done)
+        one = Method(name, row["selector"], done, failed, bool(row.get("control")))
+        panel = Panel(names.backend(row), row["backend"], [])
+        panels.setdefault(panel.name, panel).methods.append(one)
+    known = names.order("backend", (panel.backend for panel in panels.values()))
+    return sorted(panels.values(), key=lambda panel: known.index(panel.backend))
 
 
-def _method(name: str, runs: list[Run]) -> Method:
-    done = sorted((run for run in runs if run.done), key=labels.seed_order)
-    return Method(name, labels.choice(runs[0], "selector"), done, len(runs) - len(done))
+def as_asked(method: MethodRuns) -> dict[str, Any]:
+    """A method's row with the threshold and window of its run on the data as they are: replicates
+    have others, whose medians differ from backend to backend."""
+    plain = [run for run in method.runs if number_of(run) == 0]
+    own = plain[0].section("selector") if plain else {}
+    known = {key: own[key] for key in ("window", "threshold") if is_number(own.get(key))}
+    return {**method.row, **known}
 
 
-def method_names(runs: Sequence[Run]) -> dict[Run, str]:
-    """Every run's method, without its backend; equal for runs that differ in their seed alone."""
-    names = labels.method_names(runs)
-    names.update({run: "whole system" for run in runs if labels.is_system(run)})
-    keys: dict[tuple[str, str], set[str]] = {}
-    for run in runs:
-        place = (names[run], labels.key_of(run, ("backend",)))
-        keys.setdefault(place, set()).add(run.method)
-    if all(len(variants) == 1 for variants in keys.values()):
-        return names
-    words = frame.labels(runs)
-    return {
-        run: ", ".join(filter(None, [name, words[run.path]]))
-        if len(keys[name, labels.key_of(run, ("backend",))]) > 1
-        else name
-        for run, name in names.items()
-    }
+def order(method: MethodRuns) -> tuple[Any, ...]:
+    """For sorting: strategies as the names' file has them, settings by their size."""
+    selectors = list(style.names().groups["selector"])
+    selector = method.row["selector"]
+    place = selectors.index(selector) if selector in selectors else len(selectors)
+    settings = method.runs[0].section("selector")
+    sizes = [settings.get(key) for key in ("window", "threshold", "gap", "distance")]
+    numbers = [float(n) if n is not None and is_number(n) else -math.inf for n in sizes]
+    return (place, selector, *numbers)

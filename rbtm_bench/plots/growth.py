@@ -34,6 +34,8 @@ TRAVELLED = 1e-3
 BAND: dict[str, Any] = {"alpha": 0.16, "lw": 0}
 BANDS = 3
 """Methods up to which bands stay distinct; of more, only the medians are drawn."""
+BINS = 50
+"""Points of a line at most: errors of single scans of a corridor make a fence of it."""
 MARKS = 6
 """Markers along a line."""
 
@@ -72,14 +74,14 @@ def draw(data: Data) -> Iterator[Figure]:
         (panel.name, method.name): course
         for panel in few.panels
         for method in panel.methods
-        if (course := _course(method.runs, align, moving)) is not None
+        if (course := _course(method.counted, align, moving)) is not None
     }
     if not courses:
         return
     guess = _course([data.guess], align, moving) if data.guess is not None else None
     highest = [float(course.errors.max()) for course in courses.values()]
     unit, per = ("m", 1.0) if max(highest) >= LARGE else ("mm", 1e3)
-    own = looks(few.methods)
+    own, colours = looks(few.methods), few.colours
     seeds = max(len(course.errors) for course in courses.values())
     banded = seeds > 1 and max(len(panel.methods) for panel in few.panels) <= BANDS
 
@@ -90,9 +92,10 @@ def draw(data: Data) -> Iterator[Figure]:
         names.sort(key=lambda name: -courses[panel.name, name].variation)  # the restless below
         for level, name in enumerate(names):
             phase = level / len(names)
-            _draw_course(ax, name, courses[panel.name, name], per, own[name], phase)
+            look = own[name].of(colours[panel.name])
+            _draw_course(ax, name, courses[panel.name, name], per, look, phase)
             if banded:
-                _draw_band(ax, courses[panel.name, name], per, own[name])
+                _draw_band(ax, courses[panel.name, name], per, look)
         ax.set_xlabel("true path (m)" if moving else "time (s)")
         ax.set_ylabel(f"position error ({unit})")
         ax.xaxis.set_major_locator(MaxNLocator(5))
@@ -136,15 +139,14 @@ def _handles(own: dict[str, Look], band: bool, guess: bool) -> list[Any]:
     if band:
         handles.append(Patch(color=style.BLACK, **BAND, label="smallest to largest"))
     if guess:
-        handles.append(panels.handle("the guess alone", **GUESS))
+        handles.append(panels.handle(labels.member("backend", "none"), **GUESS))
     return handles
 
 
 def _course(runs: Sequence[Run], align: str, moving: bool) -> ErrorCourse | None:
-    """The errors of the runs that have a truth, over that of the first; runs whose truth has
-    another length of path, or fewer scans, are left out."""
-    x: Array | None = None
-    rows = []
+    """The errors of the runs that have a truth. Of many scans, and where replicates begin at
+    different ones, medians of ``BINS`` equal parts of the path."""
+    every: list[tuple[Array, Array]] = []
     for run in runs:
         paths = read_paths(run)
         if paths is None or paths.truth is None:
@@ -152,12 +154,22 @@ def _course(runs: Sequence[Run], align: str, moving: bool) -> ErrorCourse | None
         errors = Ape(cast(Literal["none", "origin", "umeyama"], align)).distances(
             paths.estimate, paths.truth
         )
-        own = _abscissa(paths, moving)
-        if errors is None or (x is not None and (len(own) != len(x) or not np.allclose(own, x))):
-            continue
-        x = own
-        rows.append(errors)
-    return None if x is None else ErrorCourse(x, np.stack(rows))
+        if errors is not None:
+            every.append((_abscissa(paths, moving), errors))
+    if not every:
+        return None
+    first = every[0][0]
+    same = all(len(x) == len(first) and np.allclose(x, first) for x, _ in every)
+    if same and len(first) <= BINS:
+        return ErrorCourse(first, np.stack([errors for _, errors in every]))
+    edges = np.linspace(0.0, max(float(x[-1]) for x, _ in every), BINS + 1)
+    binned = np.full((len(every), BINS), np.nan)
+    for row, (x, errors) in zip(binned, every, strict=True):
+        place = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, BINS - 1)
+        for part in np.unique(place):
+            row[part] = np.median(errors[place == part])
+    whole = ~np.isnan(binned).any(axis=0)  # the end of the path is not reached by all
+    return ErrorCourse((0.5 * (edges[1:] + edges[:-1]))[whole], binned[:, whole])
 
 
 def _abscissa(paths: Paths, moving: bool) -> Array:

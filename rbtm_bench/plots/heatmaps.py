@@ -93,7 +93,7 @@ def draw(study: SettingsStudy) -> Iterator[Figure]:
         _colour_bar(figure, image, axes[: len(panels)], f"{study.error} ({study.unit})")
         part = f"{first // page + 1} of {-(-len(study.panels) // page)}"
         title = study.title if page >= len(study.panels) else f"{study.title} ({part})"
-        figure.suptitle(style.wrapped(title, layout.width))
+        style.title(figure, title, layout.width)
         style.legend_below(
             figure, _legend(panels, layout), 2 if layout.width == style.SINGLE else 4
         )
@@ -121,7 +121,11 @@ def _words(panel: StudyPanel, unit: str) -> str:
     if math.isfinite(panel.best):
         words.append(labels.unbroken(f"best {labels.quantity(panel.best, unit)}"))
     if panel.control is not None:
-        words.append(labels.unbroken(f"previous {labels.quantity(panel.control, unit)}"))
+        words.append(
+            labels.unbroken(
+                f"{labels.member('selector', 'previous')} {labels.quantity(panel.control, unit)}"
+            )
+        )
     return "\n".join([panel.name, ", ".join(words)])
 
 

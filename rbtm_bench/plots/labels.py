@@ -9,15 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rbtm_bench.core.errors import DataError
+from rbtm_bench.plots import style
 from rbtm_bench.report import best_settings
-from rbtm_bench.runs.stored import Run, read_run
-
-ALWAYS = ("window", "threshold", "gap")
-"""Settings of a selector that a method's name always gives; others where they differ."""
-
-WORDS = {"threshold": "Th"}
-"""The paper's symbol where it is the shorter word."""
+from rbtm_bench.report.names import in_sentence
+from rbtm_bench.runs.stored import Run, is_number
 
 LARGE = 10_000
 """mm (m) from which on m (km) are the better unit."""
@@ -92,12 +87,14 @@ def seed_order(run: Run) -> float:
     return float(seed) if isinstance(seed, int | float) else math.inf
 
 
-def data_name(run: Run) -> str:
-    """The data set in words: "corridor (paper)", "carmen (aces)"."""
-    data = section(run, "dataset")
-    detail = _path_stem(data["path"]) if data.get("path") else data.get("environment")
-    name = choice(run, "dataset")
-    return unbroken(f"{name} ({detail})") if detail and detail != name else name
+def word(run: Run, group: str) -> str:
+    """The readable name of the chosen member of a group."""
+    return style.names().of(group, choice(run, group))
+
+
+def member(group: str, name: str) -> str:
+    """A member's readable name within a sentence."""
+    return in_sentence(style.names().of(group, name))
 
 
 def data_key(run: Run) -> str:
@@ -111,14 +108,17 @@ def key_of(run: Run, groups: Sequence[str]) -> str:
 
 
 def method(run: Run) -> str:
-    """The selector with its window, threshold and gap: "rbtm (window 64, Th 0.8)"."""
-    words = _always(run)
-    return f"{choice(run, 'selector')} ({', '.join(words)})" if words else choice(run, "selector")
+    """A single run's strategy with its settings: "RBTM (window 64, Th 0.8)"."""
+    own = run.section("selector")
+    known = [key for key in style.names().groups["setting"] if is_number(own.get(key))]
+    label = " ".join(f"{key}={own[key]:.3g}" for key in known)
+    return style.names().method({"selector": choice(run, "selector"), "settings": label})
 
 
 def title(run: Run) -> str:
-    """What a figure of one run shows: data set, backend, selector, seed."""
-    return ", ".join([data_name(run), choice(run, "backend"), method(run), *seed_words(run)])
+    """What a figure of one run shows: data set, backend, strategy, seed."""
+    words = [style.names().data_of(run), word(run, "backend"), method(run)]
+    return ", ".join([*words, *seed_words(run)])
 
 
 def seed_words(run: Run) -> list[str]:
@@ -134,9 +134,9 @@ def unbroken(text: str) -> str:
 
 def main_error(runs: Sequence[Run]) -> tuple[str, str, str] | None:
     """Key, unit and name of the first of ``best_settings.ERRORS`` that a run has."""
-    for key, unit, name in best_settings.ERRORS:
+    for key, unit, _ in best_settings.ERRORS:
         if any(value(run, key) is not None for run in runs):
-            return key, unit, name
+            return key, unit, in_sentence(style.names().metric(key))
     return None
 
 
@@ -197,46 +197,6 @@ def varying(runs: Sequence[Run], group: str, skip: tuple[str, ...] = ()) -> dict
 
 def _setting(key: str, item: Any) -> str:
     return _path_stem(item) if key == "path" else f"{key.rpartition('.')[2]}={item}"
-
-
-def method_order(run: Run) -> tuple[Any, ...]:
-    """For sorting: the standard method, its other controls, rbtm; settings by their size."""
-    selector = choice(run, "selector")
-    rank = {"previous": 0, "random_gap": 2, "rbtm": 3}.get(selector, 1)
-    settings = section(run, "selector")
-    numbers = [settings.get(key) for key in ALWAYS]
-    return (rank, selector, *(n if isinstance(n, int | float) else -math.inf for n in numbers))
-
-
-def method_names(runs: Sequence[Run]) -> dict[Run, str]:
-    """Every run's selector, and whatever else differs between methods, without its seed."""
-    groups = ("guess", "search", "check", "recovery", "target", "loops", "similarity")
-    others = distinctions(runs, groups)
-    settings = varying(runs, "selector", skip=(*ALWAYS, "gaps_from", "gaps"))
-    folders = {run.path.resolve(): run for run in runs}
-    folders.update({Path(folder_name(run)): run for run in runs})
-    out = {}
-    for run in runs:
-        source = section(run, "selector").get("gaps_from")
-        gaps = [f"as {_source_words(Path(str(source)), folders)}"] if source else []
-        words = [choice(run, "selector"), *_always(run), *gaps, *settings[run], *others[run]]
-        out[run] = ", ".join(words)
-    return out
-
-
-def _source_words(path: Path, folders: dict[Path, Run]) -> str:
-    """The settings of the run whose gaps were drawn; ``folders`` may have moved together."""
-    try:
-        run = folders.get(path.resolve()) or folders.get(Path(path.name)) or read_run(path)
-    except DataError:
-        return path.name
-    return ", ".join(_always(run)) or choice(run, "selector")
-
-
-def _always(run: Run) -> list[str]:
-    settings = section(run, "selector")
-    shown = [key for key in ALWAYS if settings.get(key) is not None]
-    return [unbroken(f"{WORDS.get(key, key)} {settings[key]:g}") for key in shown]
 
 
 def _path_stem(path: Any) -> str:

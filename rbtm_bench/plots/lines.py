@@ -54,7 +54,7 @@ def draw(study: SettingsStudy) -> Figure:
             loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.3,
         )  # fmt: skip
     _scale(axes[0], study)
-    figure.suptitle(style.wrapped(study.title, width))
+    style.title(figure, study.title, width)
     return figure
 
 
@@ -78,7 +78,9 @@ def _remarks(panels: list[StudyPanel]) -> list[Line2D]:
     """What else is in a panel of these."""
     out = []
     if any(panel.control is not None for panel in panels):
-        out.append(Line2D([], [], color="0.3", **CONTROL, label="selector previous"))
+        out.append(
+            Line2D([], [], color="0.3", **CONTROL, label=labels.member("selector", "previous"))
+        )
     if any(not cell.known for panel in panels for cell in panel.cells.values()):
         out.append(Line2D([], [], color="0.3", **FAILED, label="failed"))
     return out

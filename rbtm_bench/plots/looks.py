@@ -1,12 +1,14 @@
-"""How methods look, the same in every figure: a line, a marker and a colour each.
+"""How methods look, the same in every figure: the backend by its colour, the strategy by its
+marker and dashes.
 
-Lines differ by dashes and width, markers by shape and filling, so both also do in grey.
+Lines differ by dashes and width, markers by shape and filling, so strategies also do in grey;
+where backends share axes, words stand beside their colours.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from rbtm_bench.plots import style
@@ -18,11 +20,11 @@ GREY = "0.45"
 class Look:
     """``dashes`` as matplotlib's ``linestyle``."""
 
-    colour: str
     dashes: Any
     width: float
     marker: str
     filled: bool = False
+    colour: str = "0.25"
 
     @property
     def line(self) -> dict[str, Any]:
@@ -36,28 +38,62 @@ class Look:
         mark = {"marker": self.marker, "mfc": fill, "mec": edge, "mew": 0.9, "ms": 4.5}
         return mark | ({"mec": self.colour, "mew": 1.3} if self.marker in "x+1" else {})
 
+    def of(self, colour: str) -> Look:
+        """The same in a backend's colour."""
+        return replace(self, colour=colour)
+
 
 SELECTORS: dict[str, Look] = {
-    "previous": Look(style.BLUE, (0, (5, 1.5)), 1.3, "o"),
-    "keyframe": Look(style.BLACK, "-", 0.8, "s"),
-    "fixed_gap": Look(style.SKY, (0, (6, 1.5, 1, 1.5)), 1.3, "^"),
-    "oldest": Look(style.NAVY, (0, (1, 1.2)), 1.5, "v"),
-    "random_gap": Look(GREY, (0, (3, 1.2, 1, 1.2, 1, 1.2)), 1.2, "x"),
-    "best": Look(style.ORANGE, (0, (2, 1, 2, 3)), 1.4, "d"),
-    "rbtm_verified": Look(style.VERMILION, (0, (7, 2)), 1.1, "H"),
-    "oracle": Look(style.BLACK, (0, (1, 1)), 2.2, "+"),  # sees the truth
-    "rbtm": Look(style.VERMILION, "-", 1.8, "D", filled=True),
-    "none": Look(style.BLACK, (0, (8, 1.5)), 1.0, "*", filled=True),  # a whole system
+    "previous": Look((0, (5, 1.5)), 1.3, "o"),
+    "keyframe": Look("-", 0.8, "s"),
+    "fixed_gap": Look((0, (6, 1.5, 1, 1.5)), 1.3, "^"),
+    "oldest": Look((0, (1, 1.2)), 1.5, "v"),
+    "random_gap": Look((0, (3, 1.2, 1, 1.2, 1, 1.2)), 1.2, "x"),
+    "best": Look((0, (2, 1, 2, 3)), 1.4, "d"),
+    "rbtm_verified": Look((0, (7, 2)), 1.1, "H"),
+    "oracle": Look((0, (1, 1)), 2.2, "+"),  # sees the truth
+    "rbtm": Look("-", 1.8, "D", filled=True),
+    "none": Look((0, (8, 1.5)), 1.0, "*", filled=True),  # a whole system
 }
 OTHERS = (
-    Look(style.ORANGE, (0, (4, 1.5)), 1.6, "P", filled=True),
-    Look(GREY, "-", 1.2, "h"),
-    Look(style.NAVY, (0, (5, 1.5, 1, 1.5)), 1.1, "<"),
-    Look(style.ORANGE, (0, (1, 1.2)), 1.8, ">"),
-    Look(style.BLUE, (0, (2, 1.2)), 1.1, "p"),
-    Look(style.SKY, "-", 1.8, "X", filled=True),
+    Look((0, (4, 1.5)), 1.6, "P", filled=True),
+    Look("-", 1.2, "h"),
+    Look((0, (5, 1.5, 1, 1.5)), 1.1, "<"),
+    Look((0, (1, 1.2)), 1.8, ">"),
+    Look((0, (2, 1.2)), 1.1, "p"),
+    Look((0, (9, 1.2)), 1.8, "X", filled=True),
 )
 """Of selectors of other packages, and of further settings of a selector."""
+
+PALETTE = (
+    *(style.BLUE, style.VERMILION, style.GREEN, style.ORANGE, style.PURPLE, style.SKY),
+    *(style.BLACK, GREY, style.NAVY),
+)
+BACKENDS = {
+    "open3d_p2p": style.BLUE,
+    "plicp_p2p": style.BLUE,
+    "small_gicp_icp": style.NAVY,
+    "plicp": style.VERMILION,
+    "open3d_p2plane": style.VERMILION,
+    "small_gicp_plane": style.ORANGE,
+    "open3d_gicp": style.GREEN,
+    "small_gicp_gicp": style.GREEN,
+    "small_gicp_vgicp": style.SKY,
+    "ndt_2d": style.PURPLE,
+    "open3d_ndt": style.PURPLE,
+    "psm": style.ORANGE,
+    "hsm": style.SKY,
+    "csm_2d": style.NAVY,
+    "kiss_icp": style.ORANGE,
+    "kiss_icp_system": style.BLACK,
+}
+"""A family of methods has one colour; of two in one figure the second gets a free one."""
+
+
+def numbered(number: int) -> Look:
+    """Of what is neither a strategy nor a backend, by its place."""
+    return OTHERS[number % len(OTHERS)].of(PALETTE[number % len(PALETTE)])
+
 
 TRUTH: dict[str, Any] = {"color": "0.78", "lw": 4.5, "ls": "-", "solid_capstyle": "round"}
 """A pale band below everything, so that a line upon it is seen to be right."""
@@ -75,4 +111,15 @@ def looks(methods: Mapping[str, str]) -> dict[str, Look]:
         if look is None or look in out.values():
             look, used = OTHERS[used % len(OTHERS)], used + 1
         out[name] = look
+    return out
+
+
+def colours(backends: Iterable[str]) -> dict[str, str]:
+    """A colour for every backend: its own, or the first free one; beyond nine they repeat."""
+    unique = list(dict.fromkeys(backends))
+    out: dict[str, str] = {}
+    for backend in sorted(unique, key=lambda name: name not in BACKENDS):
+        free = [colour for colour in PALETTE if colour not in out.values()] or list(PALETTE)
+        own = BACKENDS.get(backend)
+        out[backend] = own if own in free else free[0]
     return out

@@ -56,7 +56,7 @@ def single(run: Run) -> Figure | None:
     ax = figure.add_subplot()
     handles = panel(ax, scene, limits, _dot(run, limits, style.SINGLE))
     text = f"{labels.title(run)}\n{labels.error_words(run)}".strip()
-    figure.suptitle(style.wrapped(text, style.SINGLE))
+    style.title(figure, text, style.SINGLE)
     style.legend_below(figure, handles, columns=2)
     style.fit_height(figure, [ax], tallest=5.0)
     return figure
@@ -81,8 +81,8 @@ def beside(pair: RunPair) -> Figure | None:
         ax.set_title(style.wrapped(text, width))
         ax.label_outer()
     run = pair.rbtm
-    words = [labels.data_name(run), labels.choice(run, "backend"), *labels.seed_words(run)]
-    figure.suptitle(", ".join(words))
+    words = [style.names().data_of(run), labels.word(run, "backend"), *labels.seed_words(run)]
+    style.title(figure, ", ".join(words), style.DOUBLE)
     style.legend_below(figure, handles, columns=4)
     style.fit_height(figure, list(axes[:, 0]), tallest=5.0)
     return figure
@@ -90,10 +90,9 @@ def beside(pair: RunPair) -> Figure | None:
 
 def _panel_titles(pair: RunPair) -> tuple[str, str]:
     remarks = [f", {words}" if words else "" for words in pair.remarks]
-    chosen = f", the first of {pair.settings} settings" if pair.settings > 1 else ""
     return (
-        f"(a) standard: {labels.method(pair.standard)}{remarks[0]}\n{final_error(pair.standard)}",
-        f"(b) {labels.method(pair.rbtm)}{chosen}{remarks[1]}\n{final_error(pair.rbtm)}",
+        f"(a) {labels.method(pair.standard)}{remarks[0]}\n{final_error(pair.standard)}",
+        f"(b) {labels.method(pair.rbtm)}{remarks[1]}\n{final_error(pair.rbtm)}",
     )
 
 

@@ -18,9 +18,8 @@ from rbtm_bench.runs.stored import Run
 UNDEFINED: dict[str, Any] = {"facecolor": "w", "edgecolor": "0.2", "hatch": "//////", "lw": 0}
 
 
-def similarity(run: Run, note: str = "") -> Figure | None:
-    """The matrix; undefined scores are hatched. None without its file. ``note`` goes into the
-    title."""
+def similarity(run: Run) -> Figure | None:
+    """The matrix; undefined scores are hatched. None without its file."""
     matrix = read_similarity(run)
     if matrix is None:
         return None
@@ -51,8 +50,8 @@ def similarity(run: Run, note: str = "") -> Figure | None:
     if len(finite) < scores.size:
         share = 1 - len(finite) / scores.size
         handles.append(Patch(**UNDEFINED, label=f"undefined ({share:.1%})"))
-    lines = [_title(run, scans, scores, threshold), note]
-    figure.suptitle(style.wrapped("\n".join(line for line in lines if line), style.SINGLE))
+    lines = [_title(run, scans, scores, threshold)]
+    style.title(figure, "\n".join(line for line in lines if line), style.SINGLE)
     style.legend_below(figure, handles, columns=2)
     style.fit_height(figure, [ax], tallest=style.SINGLE)
     return figure
@@ -60,11 +59,11 @@ def similarity(run: Run, note: str = "") -> Figure | None:
 
 def _title(run: Run, scans: Any, scores: Any, threshold: float | None) -> str:
     """Data set, similarity, how many scans, and how many pairs pass the threshold."""
-    name = ", ".join([labels.data_name(run), *labels.seed_words(run)])
+    name = ", ".join([style.names().data_of(run), *labels.seed_words(run)])
     total = run.record.get("scans")
     if isinstance(total, int) and total > len(scans):
         name += f", {len(scans)} of {total} scans"
-    words = f"{name}\nsimilarity {labels.choice(run, 'similarity')}"
+    words = f"{name}\nsimilarity: {labels.word(run, 'similarity')}"
     if threshold is None or len(scans) < 2:
         return words
     pairs = scores[np.triu_indices(len(scans), k=1)]

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from matplotlib.text import Text
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from rbtm_bench.plots import labels, style
-from rbtm_bench.plots.groups import method_names
+from rbtm_bench.plots.groups import as_asked, by_data, order, repeats
+from rbtm_bench.plots.looks import GUESS, Look, colours, looks
+from rbtm_bench.report import frame
 from rbtm_bench.report.replicates import counted
 from rbtm_bench.runs.stored import Run
 
@@ -31,28 +36,32 @@ NAMES = 2.4
 ONE_VALUE = 1.02
 """Largest over smallest error of backend "none" up to which a line stands for all of them."""
 
-LOOKS: dict[bool, dict[str, Any]] = {
-    True: {"marker": "D", "mfc": style.ORANGE, "mec": style.BLACK, "mew": 0.5, "ms": 4.0},
-    False: {"marker": "o", "mfc": "none", "mec": style.BLUE, "mew": 0.9, "ms": 4.5},
-}
-"""Of rbtm and of its controls."""
-MEDIAN: dict[str, Any] = {"marker": "|", "color": style.BLACK, "ms": 11.0, "mew": 1.8}
-GUESS: dict[str, Any] = {"color": "0.35", "ls": ":", "lw": 1.2}
+QUARTILES = 4
+"""Runs from which on quartiles mean something."""
+ALL = 15
+"""Runs from which on the single ones are not drawn beside the box any more."""
+THICK = 0.62
+"""Of a box, in rows."""
+BOX_WHITE = 0.75
+"""How much white is in a box's colour."""
+EDGE: dict[str, Any] = {"ec": "0.3", "lw": 0.7}
+WHISKER: dict[str, Any] = {"color": "0.3", "lw": 0.7}
+MEDIAN: dict[str, Any] = {"marker": "|", "color": style.BLACK, "ms": 10.0, "mew": 1.8}
 
-Row = tuple[str, bool]
-"""A method's name, and whether it is rbtm."""
+Row = tuple[str, str]
+"""A method's name and its selector."""
 
 
 @dataclass(frozen=True, eq=False)
 class MethodErrors:
-    """One data set's part of the figure. ``cells`` holds the errors of (backend, row), None for
-    a run without one; ``guess`` is the error without any registration, None if that has panels of
-    its own."""
+    """One data set's part of the figure: ``backends`` are the panels with their colours,
+    ``cells`` the errors of (backend, row), None for a run without one; ``guess`` is the error
+    without any registration, None if that has panels of its own."""
 
     name: str
     unit: str
     error: str
-    backends: list[str]
+    backends: dict[str, str]
     rows: list[Row]
     cells: dict[tuple[str, Row], list[float | None]]
     guess: float | None
@@ -82,21 +91,21 @@ def errors(runs: Sequence[Run]) -> Figure | None:
         parts = data_parts(runs, settings=False)
     if not parts:
         return None
-    columns, width = columns_and_width(parts)
+    columns, width = _columns_and_width(parts)
     heights = [part.height for part in parts]
     figure = Figure(figsize=(width, sum(heights) + 0.7))
     places = figure.subfigures(len(parts), 1, height_ratios=heights, squeeze=False)[:, 0]
     drawn = [
-        draw_part(place, part, columns, len(parts) > 1, draw_markers)
+        _draw_part(place, part, columns, len(parts) > 1)
         for place, part in zip(places, parts, strict=True)
     ]
-    figure.suptitle(style.wrapped(_title(runs, parts), width))
+    style.title(figure, _title(runs, parts), width)
     style.legend_below(figure, _legend(parts), columns=4)
-    centre(figure, drawn)
+    _centre(figure, drawn)
     return figure
 
 
-def centre(figure: Figure, drawn: Sequence[tuple[Text, list[Axes]]]) -> None:
+def _centre(figure: Figure, drawn: Sequence[tuple[Text, list[Axes]]]) -> None:
     """Put the labels under the panels, not under the methods' names. Call it last."""
     figure.draw_without_rendering()
     for label, axes in drawn:
@@ -104,7 +113,7 @@ def centre(figure: Figure, drawn: Sequence[tuple[Text, list[Axes]]]) -> None:
         label.set_x((min(p.x0 for p in ends) + max(p.x1 for p in ends)) / 2)
 
 
-def columns_and_width(parts: Sequence[MethodErrors]) -> tuple[int, float]:
+def _columns_and_width(parts: Sequence[MethodErrors]) -> tuple[int, float]:
     """Panels in a line, and the figure's width in inches."""
     columns = min(max(len(part.backends) for part in parts), PANELS_IN_A_LINE)
     long_names = max(len(name) for part in parts for name, _ in part.rows) > LONG_NAME
@@ -113,77 +122,62 @@ def columns_and_width(parts: Sequence[MethodErrors]) -> tuple[int, float]:
 
 def data_parts(runs: Sequence[Run], settings: bool = True) -> list[MethodErrors]:
     """The data sets whose runs have an error; a row a method, or (without ``settings``) a
-    selector."""
-    by_data: dict[str, list[Run]] = {}
-    for run in runs:
-        by_data.setdefault(labels.data_key(run), []).append(run)
-    firsts = [group[0] for group in by_data.values()]
+    selector. Methods of which every run failed have a row too."""
     out = []
-    for group in by_data.values():
+    for _, name, group in by_data(runs):
         main_error = labels.main_error([run for run in group if run.done])
-        if main_error is None:
-            continue
-        alike = [r for r in firsts if labels.data_name(r) == labels.data_name(group[0])]
-        words = labels.varying(alike, "dataset")[group[0]]
-        rows = method_names(group) if settings else _selectors(group)
-        name = ", ".join([labels.data_name(group[0]), *words])
-        out.append(_data(name, group, rows, main_error))
+        if main_error is not None:
+            out.append(_data(name, group, settings, main_error))
     return out
 
 
-def _selectors(runs: Sequence[Run]) -> dict[Run, str]:
-    """Coarse names: the selector and the number of its settings."""
-    settings: dict[str, set[str]] = {}
-    for run, name in method_names(runs).items():
-        settings.setdefault(labels.choice(run, "selector"), set()).add(name)
-    counts = {selector: len(names) for selector, names in settings.items()}
-    words = {s: f"{s} ({n} setting{'s' if n > 1 else ''})" for s, n in counts.items()}
-    return {run: words[labels.choice(run, "selector")] for run in runs}
-
-
-def _data(
-    name: str, runs: list[Run], names: dict[Run, str], error: tuple[str, str, str]
-) -> MethodErrors:
+def _data(name: str, runs: list[Run], settings: bool, error: tuple[str, str, str]) -> MethodErrors:
     key, unit, what = error
-    guess = _guess([run for run in runs if labels.choice(run, "backend") == "none"], key)
-    if guess is not None and any(labels.choice(run, "backend") != "none" for run in runs):
-        runs = [run for run in runs if labels.choice(run, "backend") != "none"]
+    names = style.names()
+    alone = [run for run in runs if labels.choice(run, "backend") == "none"]
+    guess = _guess([run for m in frame.methods(alone) for run in counted(m.runs)], key)
+    real = [run for run in runs if labels.choice(run, "backend") != "none"]
+    if guess is not None and real:
+        runs = real
     else:
         guess = None
-    words = labels.varying(runs, "backend")
-    title = {run: ", ".join([labels.choice(run, "backend"), *words[run]]) for run in runs}
+    methods = sorted(frame.methods(runs), key=order)
+    counts = Counter(method.row["selector"] for method in methods)
     cells: dict[tuple[str, Row], list[float | None]] = {}
-    for run in sorted(_counted(runs), key=labels.method_order):
-        row = (style.wrapped(names[run], NAMES), labels.choice(run, "selector") == "rbtm")
-        number = labels.value(run, key) if run.done else None
-        cells.setdefault((title[run], row), []).append(number)
-    panels = list(dict.fromkeys(title[run] for run in runs))
+    backends: dict[str, str] = {}
+    for method in methods:
+        selector = method.row["selector"]
+        n = counts[selector]
+        coarse = f"{names.of('selector', selector)} ({n} setting{'s' if n > 1 else ''})"
+        own = names.method(as_asked(method)) if settings else coarse
+        row = (style.wrapped(own, NAMES), selector)
+        panel = names.backend(method.row)
+        backends[panel] = method.row["backend"]
+        numbers = [labels.value(run, key) if run.done else None for run in counted(method.runs)]
+        cells.setdefault((panel, row), []).extend(numbers)
+    colour = colours(backends.values())
+    known = names.order("backend", backends.values())
+    panels = {
+        p: colour[backends[p]] for p in sorted(backends, key=lambda p: known.index(backends[p]))
+    }
     rows = list(dict.fromkeys(row for _, row in cells))
     return MethodErrors(name, unit, what, panels, rows, cells, guess)
 
 
-def _counted(runs: Sequence[Run]) -> list[Run]:
-    """The runs that stand for their methods: where there are replicates, those."""
-    by_method: dict[str, list[Run]] = {}
-    for run in runs:
-        by_method.setdefault(run.method, []).append(run)
-    return [run for group in by_method.values() for run in counted(group)]
-
-
 def _guess(runs: Sequence[Run], key: str) -> float | None:
     """The error of runs without registration, if the selector makes no difference to it."""
-    known = [number for run in runs if (number := labels.value(run, key)) is not None]
-    if not known or max(known) > ONE_VALUE * min(known):
+    by_selector: dict[str, list[float]] = {}
+    for run in runs:
+        if (number := labels.value(run, key)) is not None:
+            by_selector.setdefault(labels.choice(run, "selector"), []).append(number)
+    medians = [float(np.median(numbers)) for numbers in by_selector.values()]
+    if not medians or max(medians) > ONE_VALUE * min(medians):
         return None
-    return float(np.median(known))
+    return float(np.median(medians))
 
 
-def draw_part(
-    place: Figure | SubFigure,
-    part: MethodErrors,
-    columns: int,
-    named: bool,
-    draw_panel: Callable[[Axes, MethodErrors, str], None],
+def _draw_part(
+    place: Figure | SubFigure, part: MethodErrors, columns: int, named: bool
 ) -> tuple[Text, list[Axes]]:
     """All panels of one data set, with one scale; returns their common label and them."""
     axes = place.subplots(part.lines, columns, sharex=True, sharey=True, squeeze=False)
@@ -194,18 +188,21 @@ def draw_part(
         if number >= len(part.backends):
             ax.remove()
             continue
-        draw_panel(ax, part, part.backends[number])
-        ax.set_title(style.plain(part.backends[number]))
+        backend = list(part.backends)[number]
+        _draw_panel(ax, part, backend)
+        ax.set_title(style.plain(backend))
         if number + columns >= len(part.backends):
             ax.tick_params(labelbottom=True)
     if named:
         place.suptitle(style.plain(part.name))
-    label = place.supxlabel(f"{part.error} ({part.unit})", fontsize=style.FONT)
+    label = place.supxlabel(f"{part.error} ({part.unit})", fontsize=style.font())
     return label, list(axes.ravel()[: len(part.backends)])
 
 
-def draw_markers(ax: Axes, part: MethodErrors, backend: str) -> None:
-    """A row of markers a method, one a run, and a line at their median."""
+def _draw_panel(ax: Axes, part: MethodErrors, backend: str) -> None:
+    """A row of markers a method, one a run, a line at their median, a box over their quartiles."""
+    colour = part.backends[backend]
+    own = {row: look.of(colour) for row, look in _looks(part).items()}
     for height, row in enumerate(part.rows):
         ax.axhline(height, color="0.88", lw=0.5, zorder=0)
         runs = part.cells.get((backend, row), [])
@@ -215,11 +212,27 @@ def draw_markers(ax: Axes, part: MethodErrors, backend: str) -> None:
             continue
         if len(values) < len(runs):
             remark(ax, height, f"{len(values)} of {len(runs)} runs", values)
+        if len(values) >= QUARTILES:
+            pale = [1 - (1 - BOX_WHITE) * (1 - part_of) for part_of in to_rgb(colour)]
+            ax.boxplot(
+                values, positions=[height], orientation="horizontal", widths=THICK, whis=(0, 100),
+                manage_ticks=False, patch_artist=True, boxprops={**EDGE, "fc": pale},
+                medianprops={"lw": 0}, whiskerprops=WHISKER, capprops=WHISKER, zorder=1,
+            )  # fmt: skip
         if len(values) > 1:
-            ax.plot(np.median(values), height, ls="", **MEDIAN, zorder=2)
-        ax.plot(values, [height] * len(values), ls="", **LOOKS[row[1]], zorder=3)
+            ax.plot(np.median(values), height, ls="", **MEDIAN, zorder=4)
+        if len(values) < ALL:
+            small = {"ms": 3.2, "mew": 0.6} if len(values) >= QUARTILES else {}
+            mark = {**own[row].mark, **small}
+            ax.plot(values, [height] * len(values), ls="", **mark, zorder=3)
     if part.guess is not None:
         ax.axvline(part.guess, **GUESS, zorder=1)
+
+
+def _looks(part: MethodErrors) -> dict[Row, Look]:
+    """The marker of every row: its selector's."""
+    first = looks({selector: selector for _, selector in part.rows})
+    return {row: first[row[1]] for row in part.rows}
 
 
 def remark(ax: Axes, height: int, words: str, values: list[float]) -> None:
@@ -231,7 +244,7 @@ def remark(ax: Axes, height: int, words: str, values: list[float]) -> None:
     if room[side] < style.inches(words) * ax.figure.dpi * 1.2:
         ax.text(
             0.5, height - 0.2, words, transform=ax.get_yaxis_transform(),
-            ha="center", va="bottom", c="0.35", fontsize=0.75 * style.FONT,
+            ha="center", va="bottom", c="0.35", fontsize=0.75 * style.font(),
         )  # fmt: skip
         return
     ax.text(
@@ -259,17 +272,21 @@ def _scale(ax: Axes, values: list[float]) -> None:
 def _title(runs: Sequence[Run], parts: list[MethodErrors]) -> str:
     data = parts[0].name if len(parts) == 1 else f"{len(parts)} data sets"
     errors = " and ".join(dict.fromkeys(part.error for part in parts))
-    text = f"{data}: {errors} by method, one marker a run"
+    text = f"{data}: {errors} by method"
+    most = max(len(cell) for part in parts for cell in part.cells.values())
+    text += f", {most} {repeats(runs)}" if most > 1 else ""
     failed = sum(not run.done for run in runs)
     return text + (f" ({failed} of {len(runs)} runs are not done)" if failed else "")
 
 
-def _legend(parts: list[MethodErrors]) -> list[Line2D]:
-    kinds = {is_rbtm for part in parts for _, is_rbtm in part.rows}
-    words = {True: "rbtm", False: "control"}
-    out = [Line2D([], [], ls="", **LOOKS[kind], label=words[kind]) for kind in sorted(kinds)]
-    if any(len(runs) > 1 for part in parts for runs in part.cells.values()):
+def _legend(parts: list[MethodErrors]) -> list[Any]:
+    most = max(len(runs) for part in parts for runs in part.cells.values())
+    out: list[Any] = []
+    if most > 1:
         out.append(Line2D([], [], ls="", **MEDIAN, label="median"))
+    if most >= QUARTILES:
+        out.append(Patch(fc="0.85", **EDGE, label="quartiles, smallest to largest"))
     if any(part.guess is not None for part in parts):
-        out.append(Line2D([], [], **GUESS, label="backend none: the guess alone"))
+        words = labels.member("backend", "none")
+        out.append(Line2D([], [], **GUESS, label=words))
     return out

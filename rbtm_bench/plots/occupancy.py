@@ -24,7 +24,7 @@ FINEST = 110
 """Blocks of cells an inch at most: thinner walls would not be seen."""
 
 
-def draw(run: Run, note: str = "") -> Figure | None:
+def draw(run: Run) -> Figure | None:
     """The grid with the trajectory and the truth; None for a run without a grid."""
     grid, scene = read_occupancy(run), read_scene(run)
     if grid is None or scene is None:
@@ -39,8 +39,8 @@ def draw(run: Run, note: str = "") -> Figure | None:
     cell = f"cells of {labels.quantity(grid.cell, 'm')}"
     if shown.cell > grid.cell:
         cell += f", drawn in blocks of {labels.quantity(shown.cell, 'm')} (their fullest cell)"
-    lines = [labels.title(run), labels.error_words(run), cell, note]
-    figure.suptitle(style.wrapped("\n".join(line for line in lines if line), style.SINGLE))
+    lines = [labels.title(run), labels.error_words(run), cell]
+    style.title(figure, "\n".join(line for line in lines if line), style.SINGLE)
     style.legend_below(figure, handles, columns=2)
     style.fit_height(figure, [ax], tallest=5.0)
     return figure

@@ -17,12 +17,10 @@ BETTER_SAME = ("guess", "search", "check", "recovery", "target")
 
 @dataclass(frozen=True, eq=False)
 class RunPair:
-    """``settings`` counts the rbtm settings that ``rbtm`` is the first of; ``remarks`` name, for
-    each of the two, what else differs."""
+    """``remarks`` name, for each of the two, what else differs."""
 
     standard: Run
     rbtm: Run
-    settings: int
     stem: str
     remarks: tuple[str, str] = ("", "")
 
@@ -33,19 +31,19 @@ def standard_and_rbtm(runs: Sequence[Run]) -> list[RunPair]:
     Not for backend "none", which registers nothing: whatever the model scan, its map is the same.
     Of several seeds the lowest that both have, of several settings of rbtm the first.
     """
-    chosen: list[tuple[Run, Run, int, bool]] = []
+    chosen: list[tuple[Run, Run, bool]] = []
     real = [run for run in runs if labels.choice(run, "backend") != "none"]
     for members in _grouped(real, SAME):
         pairs = [_pair(m) for m in _grouped(members, BETTER_SAME)]
         exact = [p for p in pairs if p is not None]
         loose = None if exact else _pair(members)
         chosen += [(*p, len(_seeds(members)) > 1) for p in exact or ([loose] if loose else [])]
-    stems = _stems([(rbtm, many) for _, rbtm, _, many in chosen])
+    stems = _stems([(rbtm, many) for _, rbtm, many in chosen])
     out = []
-    for (standard, rbtm, settings, _), stem in zip(chosen, stems, strict=True):
+    for (standard, rbtm, _), stem in zip(chosen, stems, strict=True):
         words = labels.distinctions([standard, rbtm], BETTER_SAME)
         remarks = (", ".join(words[standard]), ", ".join(words[rbtm]))
-        out.append(RunPair(standard, rbtm, settings, stem, remarks))
+        out.append(RunPair(standard, rbtm, stem, remarks))
     return out
 
 
@@ -56,8 +54,8 @@ def _grouped(runs: Sequence[Run], groups: tuple[str, ...]) -> list[list[Run]]:
     return list(out.values())
 
 
-def _pair(runs: Sequence[Run]) -> tuple[Run, Run, int] | None:
-    """Standard, rbtm and the number of rbtm settings, at the lowest seed that has both."""
+def _pair(runs: Sequence[Run]) -> tuple[Run, Run] | None:
+    """Standard and rbtm, at the lowest seed that has both."""
     by_selector = {
         name: [run for run in runs if labels.choice(run, "selector") == name]
         for name in ("previous", "rbtm")
@@ -69,7 +67,7 @@ def _pair(runs: Sequence[Run]) -> tuple[Run, Run, int] | None:
         [run for run in members if labels.seed_order(run) == min(seeds)]
         for members in by_selector.values()
     )
-    return standard[0], rbtm[0], len(rbtm)
+    return standard[0], rbtm[0]
 
 
 def _seeds(runs: Sequence[Run]) -> set[float]:

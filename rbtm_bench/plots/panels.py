@@ -56,7 +56,7 @@ def pages(
                 ax.set_ylabel("")
         for spare in axes[len(shown) :]:
             spare.remove()
-        figure.suptitle(style.wrapped(title, width))
+        style.title(figure, title, width)
         style.legend_below(figure, handles, beside)
         if equal:
             style.fit_height(figure, list(grid[:, 0]), tallest=height)

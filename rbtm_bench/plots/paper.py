@@ -137,7 +137,7 @@ def _no_return(ax: Axes, phi: Array) -> None:
     run = max(np.split(empty, np.flatnonzero(np.diff(empty) > 1) + 1), key=len)
     if len(run) > 0.08 * len(phi):
         ax.text(
-            run.mean() + 2, 0.0, "no\nreturn", ha="center", va="center", fontsize=style.FONT - 2
+            run.mean() + 2, 0.0, "no\nreturn", ha="center", va="center", fontsize=style.font() - 2
         )
 
 
@@ -287,7 +287,7 @@ def environment(room: Array, view: View, end: Array, path: Array, title: str) ->
         Line2D([], [], color=style.BLACK, lw=1.0, ls="--", label="path, start left"),
     ]
     ax.yaxis.set_major_locator(MultipleLocator(100))
-    figure.suptitle(style.wrapped(title, style.SINGLE))
+    style.title(figure, title, style.SINGLE)
     style.legend_below(figure, handles, columns=2)
     style.fit_height(figure, [ax], tallest=5.0)
     return figure
@@ -320,7 +320,7 @@ def _size(ax: Axes, start: tuple[float, float], end: tuple[float, float], size: 
     ax.text(
         0.5 * (x0 + x1) + (0 if level else 5), 0.5 * (y0 + y1), f"{size:.0f}", zorder=5,
         ha="center" if level else "left", va="bottom" if level else "center",
-        fontsize=style.FONT - 2,
+        fontsize=style.font() - 2,
     )  # fmt: skip
 
 
@@ -330,7 +330,7 @@ def map_figure(scene: Scene, limits: maps.Limits, title: str) -> Figure:
     figure = Figure(figsize=(style.SINGLE, style.SINGLE))
     ax = figure.add_subplot()
     handles = maps.panel(ax, scene, limits, DOT)
-    figure.suptitle(style.wrapped(title, style.SINGLE))
+    style.title(figure, title, style.SINGLE)
     style.legend_below(figure, handles, columns=2)
     style.fit_height(figure, [ax], tallest=4.0)
     return figure

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.transforms import Bbox
 
 from rbtm_bench.plots import style
@@ -31,6 +32,8 @@ AWAY = 0.8
 OVER_LINE = 0.25
 """What a square point of overlap with a line costs."""
 TIE: dict[str, Any] = {"arrowstyle": "-", "lw": 0.5, "color": "0.5", "shrinkA": 0, "shrinkB": 2.5}
+HALO = withStroke(linewidth=2.0, foreground="w")
+"""Around letters that cross a line."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,7 @@ class Label:
 
     text: str
     places: tuple[Place, ...]
+    colour: str = style.BLACK
 
 
 def place(
@@ -61,7 +65,7 @@ def place(
     taken = [_around(*at(marker)) for marker in markers]
     line = _boxes([at(corner) for corner in corners], inner)
     for label in sorted(labels, key=lambda label: len(label.places)):
-        width, height = 72 * SIZE * style.inches(label.text), 1.15 * SIZE * style.FONT
+        width, height = 72 * SIZE * style.inches(label.text), 1.15 * SIZE * style.font()
         best: tuple[float, Place, Any, Bbox] | None = None
         for spot in label.places:
             middle = at(spot)
@@ -80,8 +84,8 @@ def place(
         tied = np.hypot(*_gap(box, at(spot))) > TIED
         note = ax.annotate(
             label.text, spot, xytext=tuple(offset), textcoords="offset points",
-            ha="center", va="center", fontsize=SIZE * style.FONT, zorder=10,
-            arrowprops=TIE if tied else None,
+            ha="center", va="center", fontsize=SIZE * style.font(), zorder=10, color=label.colour,
+            arrowprops=TIE if tied else None, path_effects=[HALO],
         )  # fmt: skip
         note.set_in_layout(False)
 

@@ -62,7 +62,7 @@ def draw(rows: Sequence[tuple[str, Sequence[Ratio]]], title: str, theirs: float)
         Line2D([], [], color=style.BLACK, lw=1.2, label=f"on the scale: the paper's {theirs:.0f}"),
         Line2D([], [], ls="", label="1/2: error twice the standard ICP's"),
     ]
-    figure.suptitle(style.wrapped(title, style.DOUBLE))
+    style.title(figure, title, style.DOUBLE)
     style.legend_below(figure, handles, columns=2)
     return figure
 

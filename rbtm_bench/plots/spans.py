@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter
 from numpy.typing import NDArray
 
 from rbtm_bench.core.types import Array
@@ -28,6 +28,8 @@ FEWEST_RELATIONS = 20
 """Relations that a median is taken over at least."""
 LOCAL_S = 30.0
 """Where local relations end unless the run's settings say otherwise, s."""
+TIMES = (1.0, 10.0, 60.0, 600.0, 3600.0)
+"""Where an axis of time has its ticks, s."""
 UNITS = ((1.0, "s"), (60.0, "min"), (3600.0, "h"))
 
 
@@ -52,7 +54,8 @@ def draw(data: Data) -> Iterator[Figure]:
     if not curves:
         return
     guess = curve(data.guess) if data.guess is not None else None
-    own = looks(few.methods)
+    own, colours = looks(few.methods), few.colours
+    errors = [e for line in curves.values() for e in line.error.tolist() if e > 0] or [1.0]
     local_s = float(labels.section(few.runs[0], "metrics").get("relations", {}).get("local_s") or 0)
     local_s = local_s or LOCAL_S
 
@@ -63,11 +66,13 @@ def draw(data: Data) -> Iterator[Figure]:
         for method in panel.methods:
             line = curves.get((panel.name, method.name))
             if line is not None:
-                look = own[method.name]
+                look = own[method.name].of(colours[panel.name])
                 mark = {**look.mark, "ms": 3.5, "mew": 0.8}
                 ax.plot(line.span, line.error, **look.line, **mark, label=method.name, zorder=3)
         ax.set_xscale("log")
         ax.set_yscale("log")
+        ax.set_ylim(0.5 * min(errors), 2.0 * max(errors))  # what has no motion is right at once
+        ax.xaxis.set_major_locator(FixedLocator(TIMES))
         ax.xaxis.set_major_formatter(FuncFormatter(_time))
         ax.set_xlabel("time between the two scans")
         ax.set_ylabel("relation error (m)")
@@ -75,7 +80,7 @@ def draw(data: Data) -> Iterator[Figure]:
     words = [f"{data.name}: error of reference relations over their span, medians of bins", note]
     handles: list[Any] = [panels.handle(n, **look.line, **look.mark) for n, look in own.items()]
     if guess is not None:
-        handles.append(panels.handle("the guess alone", **GUESS))
+        handles.append(panels.handle(labels.member("backend", "none"), **GUESS))
     handles.append(panels.handle(f"local up to {local_s:g} s", color="0.8", lw=0.8))
     title = ", ".join(word for word in words if word)
     yield from panels.pages(few.panels, COLUMNS, TALL, panel_of, title, handles)

@@ -37,10 +37,9 @@ MARKS: dict[str, tuple[str, dict[str, Any]]] = {
 """Status -> word and marker; they differ by shape, so also in grey. The first scan has none."""
 
 
-def gaps(run: Run, note: str = "") -> Figure | None:
+def gaps(run: Run) -> Figure | None:
     """Gap to the model scan over the scans, below it the similarity to that scan where it is
-    known, and how well the matched surfaces hold the motion; None without steps. ``note`` goes
-    into the title."""
+    known, and how well the matched surfaces hold the motion; None without steps."""
     steps = read_steps(run)
     if steps is None:
         return None
@@ -55,8 +54,8 @@ def gaps(run: Run, note: str = "") -> Figure | None:
         handles += _localizability_panel(axes[-1], steps)
     axes[-1].set_xlabel("scan number")
     axes[-1].xaxis.set_major_locator(MaxNLocator(6, integer=True))
-    lines = [labels.title(run), _summary(run), note]
-    figure.suptitle(style.wrapped("\n".join(line for line in lines if line), width))
+    lines = [labels.title(run), _summary(run)]
+    style.title(figure, "\n".join(line for line in lines if line), width)
     style.legend_below(figure, handles, columns=2 if width == style.SINGLE else 5)
     return figure
 

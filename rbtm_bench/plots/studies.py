@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rbtm_bench.plots import labels
+from rbtm_bench.plots import labels, style
 from rbtm_bench.plots.groups import by_data, file_name, unique
+from rbtm_bench.report.replicates import counted
 from rbtm_bench.runs.stored import Run
 
 FAVOURITES = ("window", "threshold")
@@ -70,7 +71,8 @@ class SettingsStudy:
         runs = max(c.runs for p in self.panels for c in p.cells.values())
         each = labels.unbroken(f"({runs} runs each)")
         medians = f", medians over seeds {each}" if runs > 1 else ""
-        return f"{self.data}: {self.error} of {self.selector} over {over}{medians}"
+        of = style.names().of("selector", self.selector)
+        return f"{self.data}: {self.error} of {of} over {over}{medians}"
 
 
 def studies(runs: Sequence[Run]) -> list[SettingsStudy]:
@@ -80,6 +82,7 @@ def studies(runs: Sequence[Run]) -> list[SettingsStudy]:
         main_error = labels.main_error([run for run in group if run.done])
         if main_error is None:
             continue
+        group = [run for run in group if not run.record.get("control")] or group
         real = [run for run in group if labels.choice(run, "backend") != "none"] or group
         controls = _controls(real, main_error[0])
         for selector in dict.fromkeys(labels.choice(run, "selector") for run in real):
@@ -108,8 +111,7 @@ def _base_names(runs: Sequence[Run]) -> dict[Run, str]:
     settings = labels.varying(runs, "backend")
     others = labels.distinctions(runs, ("guess", "search", "check", "recovery", "target"))
     return {
-        run: ", ".join([labels.choice(run, "backend"), *settings[run], *others[run]])
-        for run in runs
+        run: ", ".join([labels.word(run, "backend"), *settings[run], *others[run]]) for run in runs
     }
 
 
@@ -149,7 +151,7 @@ def _panels(
 
 
 def _cell(runs: Sequence[Run], key: str) -> Cell:
-    errors = [n for run in runs if run.done and (n := labels.value(run, key)) is not None]
+    errors = [n for r in counted(runs) if r.done and (n := labels.value(r, key)) is not None]
     if not errors:
         return Cell(math.nan, 0, len(runs), math.nan, math.nan)
-    return Cell(float(np.median(errors)), len(errors), len(runs), min(errors), max(errors))
+    return Cell(float(np.median(errors)), len(errors), len(counted(runs)), min(errors), max(errors))

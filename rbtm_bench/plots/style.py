@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -16,10 +18,12 @@ import matplotlib
 import matplotlib.style
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.textpath import TextPath
 
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.files import write_atomically
+from rbtm_bench.report.names import Names
 
 SINGLE = 3.4
 """Width of a paper's column, inches."""
@@ -39,6 +43,8 @@ VERMILION = "#D55E00"
 BLUE = "#0072B2"
 NAVY = "#003F73"
 SKY = "#56B4E9"
+GREEN = "#009E73"
+PURPLE = "#CC79A7"
 
 RASTER_FROM = 5_000
 """Markers from which on a PDF holds pixels instead of that many paths."""
@@ -46,6 +52,7 @@ RASTER_FROM = 5_000
 FORMATS: dict[str, dict[str, Any]] = {
     "png": {"dpi": 150},
     "pdf": {"dpi": 300, "metadata": {"CreationDate": None}},
+    "svg": {"dpi": 300, "metadata": {"Date": None}},
 }
 """Dots an inch (in a PDF: of its rasterised parts); no date, so that the same runs give the same
 file."""
@@ -69,14 +76,53 @@ PAPER: dict[str, Any] = {
     "legend.columnspacing": 1.2,
     "pdf.fonttype": 42,
     "ps.fonttype": 42,
+    "svg.hashsalt": "rbtm_bench",
 }
+TALK = 1.3
+"""Of a talk's letters, lines and markers, of a paper's."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """How figures are drawn: ``style`` "paper" or "talk", with ``titles`` above or without (a
+    caption says it), in these ``formats``, by these ``names`` (None: those of the package)."""
+
+    style: str = "paper"
+    titles: bool = True
+    formats: Sequence[str] = ("png", "pdf")
+    names: Names | None = None
+
+
+_drawing: ContextVar[Drawing] = ContextVar("drawing", default=Drawing())  # noqa: B039, frozen
+_default_names = lru_cache(Names.read)
+
+
+def names() -> Names:
+    """The readable names of this drawing."""
+    return _drawing.get().names or _default_names()
+
+
+def font() -> float:
+    """Points of a letter."""
+    return FONT * (TALK if _drawing.get().style == "talk" else 1.0)
 
 
 @contextmanager
-def paper() -> Iterator[None]:
+def paper(drawing: Drawing | None = None) -> Iterator[None]:
     """The look of our figures, whatever the user's own matplotlibrc says; undone at the end."""
-    with matplotlib.style.context(["default", PAPER]):
-        yield
+    before = _drawing.set(drawing or Drawing())
+    sizes = {key: font() for key, value in PAPER.items() if value == FONT}
+    try:
+        with matplotlib.style.context(["default", PAPER | sizes]):
+            yield
+    finally:
+        _drawing.reset(before)
+
+
+def title(figure: Figure, text: str, width: float) -> None:
+    """Words above a figure of so many inches, unless a caption is to say them."""
+    if _drawing.get().titles and text:
+        figure.suptitle(wrapped(text, width))
 
 
 def wrapped(text: str, width: float) -> str:
@@ -113,7 +159,7 @@ def plain(text: str) -> str:
 
 def inches(text: str) -> float:
     """Width of a line of text in our font, without kerning."""
-    return sum(map(_letter, text)) / 72
+    return sum(map(_letter, text)) / 72 * font() / FONT
 
 
 @lru_cache
@@ -152,14 +198,19 @@ def legend_below(figure: Figure, handles: list[Any], columns: int) -> None:
 
 
 def save(figure: Figure, out: Path, stem: str) -> list[Path]:
-    """Write ``stem.png`` and ``stem.pdf``; each appears whole or not at all.
+    """Write the figure in the formats of this drawing; each appears whole or not at all.
 
     Raises ``DataError`` if they cannot be written.
     """
     written = []
+    if _drawing.get().style == "talk":
+        for line in figure.findobj(Line2D):
+            line.set_linewidth(TALK * line.get_linewidth())
+            line.set_markersize(TALK * line.get_markersize())
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for ending, options in FORMATS.items():
+        for ending in _drawing.get().formats:
+            options = FORMATS[ending]
             path = out / f"{stem}.{ending}"
             write_atomically(path, partial(figure.savefig, format=ending, **options))
             written.append(path)

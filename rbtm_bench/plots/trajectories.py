@@ -27,10 +27,8 @@ TALL = 3.0
 LOST = 2.0
 """A path that goes this many times as far from the start as the truth (or as the median path)
 does not widen the view, and ends where it leaves it."""
-FLAT = 0.15
-"""Height over width of the paths below which y is stretched, else all lie in one line."""
-TARGET = 0.35
-"""Height over width that a stretched view gets at least."""
+FLAT = 0.2
+"""Height over width that a view has at least."""
 LEVEL = 1e-6
 """m that a path may leave its first plane and still count as planar."""
 END: dict[str, Any] = {"marker": "o", "ms": 9.0, "mfc": "none", "mec": "0.55", "mew": 1.2}
@@ -60,20 +58,18 @@ def draw(data: Data) -> Iterator[Figure]:
     if lines is None:
         return
     view = limits(lines)
-    stretch = _stretch(view)
-    own = looks(few.methods)
+    own, colours = looks(few.methods), few.colours
 
     def panel(ax: Axes, panel: Panel) -> None:
-        _draw_panel(ax, panel, lines, own, view)
+        tinted = {name: look.of(colours[panel.name]) for name, look in own.items()}
+        _draw_panel(ax, panel, lines, tinted, view)
         ax.set(xlim=view[:2], ylim=view[2:], xlabel="x (m)", ylabel="y (m)")
-        ax.set_aspect(float(stretch), adjustable="box")
+        ax.set_aspect("equal", adjustable="box")
         for side in (ax.xaxis, ax.yaxis):
             side.set_major_locator(MaxNLocator(4))
 
     seen = "paths" if lines.planar else "paths from above"
     words = [f"{data.name}: {seen}, first poses made equal"]
-    if stretch > 1:
-        words.append(labels.unbroken(f"y stretched {stretch:g}\N{MULTIPLICATION SIGN}"))
     if seeds and any(len(method.runs) > 1 for p in few.panels for method in p.methods):
         has_seeds = groups.repeats(data.runs) == "seeds"
         words.append(labels.unbroken(f"seed {min(seeds):g}" if has_seeds else "data as they are"))
@@ -93,19 +89,9 @@ def limits(lines: Lines) -> Limits:
     low, high = points.min(axis=0), points.max(axis=0)
     width, height = np.maximum(high - low, 1e-3 * max(*(high - low), 1e-3))
     pad = 0.08 * max(width, height)
-    pads = np.array([pad, 0.08 * height if height < FLAT * width else pad])
+    pads = np.array([pad, max(pad, 0.5 * (FLAT * width - height))])
     (x0, y0), (x1, y1) = low - pads, high + pads
     return float(x0), float(x1), float(y0), float(y1)
-
-
-def _stretch(view: Limits) -> float:
-    """1, or how much y is stretched for a flat view: 2, 5, 10, 20, ..."""
-    ratio = (view[3] - view[2]) / (view[1] - view[0])
-    if ratio >= FLAT:
-        return 1.0
-    wanted = TARGET / ratio
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(min(f * power for f in (1, 2, 5, 10) if f * power >= wanted))
 
 
 def _draw_panel(ax: Axes, panel: Panel, lines: Lines, own: dict[str, Look], view: Limits) -> None:
@@ -126,12 +112,13 @@ def _draw_panel(ax: Axes, panel: Panel, lines: Lines, own: dict[str, Look], view
         line = {**look.line, "lw": (0.5 if len(left) else 1.0) * look.width}
         ax.plot(*shown[:, :2].T, **line, label=method.name, zorder=3 + depth)
         ax.plot(*path[end, :2], **look.mark, ls="", zorder=12 + depth)
-        outside += [method.selector] if len(left) else []
+        outside += [style.names().of("selector", method.selector)] if len(left) else []
     ax.plot(0.0, 0.0, **START, zorder=30)
     if outside:
         ax.text(
             0.02, 0.02, f"leave the view: {', '.join(outside)}", transform=ax.transAxes,
-            fontsize=0.8 * style.FONT, c="0.25", zorder=31,
+            fontsize=0.8 * style.font(), c="0.25", zorder=31,
+            bbox={"fc": "w", "ec": "none", "alpha": 0.7, "pad": 1.0},
         )  # fmt: skip
 
 
@@ -146,7 +133,7 @@ def _handles(own: dict[str, Look], lines: Lines) -> list[Any]:
         end = {**END, "ms": 7.0}
         handles.append(panels.handle("ground truth", **TRUTH, **end))
     if lines.guess is not None:
-        handles.append(panels.handle("the guess alone", **GUESS))
+        handles.append(panels.handle(labels.member("backend", "none"), **GUESS))
     return [*handles, panels.handle("start", **START)]
 
 

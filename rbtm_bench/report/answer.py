@@ -10,7 +10,6 @@ from typing import Any
 from rbtm_bench.report import better, render, rotation
 from rbtm_bench.report.best_settings import ERRORS, NO_METHODS, champion
 from rbtm_bench.report.frame import MethodRuns, table_of
-from rbtm_bench.report.margin import margin_of
 from rbtm_bench.report.render import is_empty, is_numeric_cell, three_digits
 from rbtm_bench.report.replicates import SHIFTED, draw_of, trajectory_of
 from rbtm_bench.report.verdict import label
@@ -135,11 +134,7 @@ def _tied(won: MethodRuns, group: Sequence[MethodRuns], key: str) -> str:
     """Those that the winner cannot be called better than, after Holm over all of them."""
     others = [m for m in group if m is not won and is_numeric_cell(m.row[key])]
     others = [m for m in others if m.row["selector"] not in NO_METHODS]
-    margin = margin_of(list(group), key)
-    compared = [(m, better.compare(won, m, key, margin)) for m in others]
-    known = [(m, one) for m, one in compared if one is not None]
-    adjusted = better.adjusted([one for _, one in known])
-    pairs = [(m, one) for (m, _), one in zip(known, adjusted, strict=True)]
+    pairs = better.beside_best(won, group, key)
     if all(one.unit == better.RUNS for _, one in pairs):
         near = [m for m in others if m.row[key] <= 1.05 * won.row[key]]
         return f"within 5% of it ({key}): {_few(map(_name, near)) or 'none'}; of runs, not proven"

@@ -24,8 +24,9 @@ from numpy.typing import ArrayLike
 
 from rbtm_bench.core.types import Array
 from rbtm_bench.report import intervals
+from rbtm_bench.report.best_settings import NO_METHODS
 from rbtm_bench.report.frame import MethodRuns
-from rbtm_bench.report.margin import DEFAULT, Margin
+from rbtm_bench.report.margin import DEFAULT, Margin, margin_of
 from rbtm_bench.report.render import three_digits
 from rbtm_bench.report.replicates import Draw, draw_of, trajectory_of, value_of
 from rbtm_bench.runs.stored import Run
@@ -193,6 +194,19 @@ def compare(ours: MethodRuns, theirs: MethodRuns, key: str, margin: Margin) -> C
     failed = (ours.row["status"] != "done", theirs.row["status"] != "done")
     p = None if unit == RUNS else exact_p(x, y)
     return Comparison(np.stack([x, y]), unit, margin, distinct, equal, failed, p)
+
+
+def beside_best(
+    best: MethodRuns, group: Sequence[MethodRuns], key: str
+) -> list[tuple[MethodRuns, Comparison]]:
+    """The best method of a data set beside every other of the group that has a number, but for
+    those that win nothing, adjusted for all of these."""
+    margin = margin_of(group, key)
+    others = [m for m in group if m is not best and m.row["selector"] not in NO_METHODS]
+    compared = [(m, compare(best, m, key, margin)) for m in others]
+    known = [(m, one) for m, one in compared if one is not None]
+    pairs = zip(known, adjusted([one for _, one in known]), strict=True)
+    return [(method, one) for (method, _), one in pairs]
 
 
 def of_runs(ours: float, theirs: float, runs: int = 1) -> Comparison:

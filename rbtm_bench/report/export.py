@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rbtm_bench.core import escape
+from rbtm_bench.core.bounded import read_bytes, read_parquet, read_text
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.files import write_atomically
 from rbtm_bench.runs.stored import Run
@@ -35,12 +37,7 @@ def export(run: Run, kind: str, out: Path) -> None:
 
 def steps_with_poses(run: Run) -> pd.DataFrame:
     """A row a scan: its number and stamp (s), its pose, and how it got it (docs/metrics.md)."""
-    import pandas as pd
-
-    try:
-        steps = pd.read_parquet(run.path / "steps.parquet")
-    except (OSError, ValueError) as error:  # pyarrow's errors are ValueErrors
-        raise DataError(f"{run.path / 'steps.parquet'}: cannot be read: {error}") from error
+    steps: pd.DataFrame = read_parquet(run.path / "steps.parquet").to_pandas()
     poses = _poses(run)
     if len(poses) != len(steps):
         raise DataError(f"{run.path}: {len(poses)} poses for {len(steps)} scans")
@@ -53,8 +50,8 @@ def _poses(run: Run) -> Any:
     """The rows (N, 8) of trajectory.tum."""
     path = run.path / "trajectory.tum"
     try:
-        rows = np.loadtxt(path, ndmin=2)
-    except (OSError, ValueError) as error:
+        rows = np.loadtxt(read_text(path).splitlines(), ndmin=2)
+    except ValueError as error:
         raise DataError(f"{path}: cannot be read: {error}") from error
     if rows.shape[1] != 1 + len(POSE):
         raise DataError(f"{path}: {rows.shape[1]} columns: expected {1 + len(POSE)}")
@@ -69,6 +66,7 @@ def _csv(run: Run) -> Write:
     for name in table:
         if table[name].map(lambda cell: isinstance(cell, np.ndarray | list)).any():
             table[name] = table[name].map(_words)
+    table = escape.csv_table(table)
     return lambda path: table.to_csv(path, index=False)
 
 
@@ -84,7 +82,7 @@ def _parquet(run: Run) -> Write:
 
 def _tum(run: Run) -> Write:
     _poses(run)  # that it is one
-    content = (run.path / "trajectory.tum").read_bytes()
+    content = read_bytes(run.path / "trajectory.tum")
     return lambda path: path.write_bytes(content)
 
 
@@ -92,7 +90,7 @@ def _g2o(run: Run) -> Write:
     path = run.path / "graph.g2o"
     if not path.is_file():
         raise DataError(f"{run.path}: has no pose graph: a run with loops= keeps one")
-    content = path.read_bytes()
+    content = read_bytes(path)
     return lambda partial: partial.write_bytes(content)
 
 

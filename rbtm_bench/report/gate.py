@@ -12,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from rbtm_bench.core import escape
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.wording import suggestion
 from rbtm_bench.report import better
@@ -123,8 +124,10 @@ def comment(findings: Sequence[Finding], notes: Sequence[str]) -> str:
     for f in rows:
         outcome = f"**{f.outcome}**" if f.outcome == FAILED else f.outcome
         cells = (f.data, f.method, f.asked, f.value, f.why)
-        lines.append(f"| {outcome} | {' | '.join(map(_cell, cells))} |")
-    return "\n".join([*lines, *(["", *(f"- {_cell(note)}" for note in notes)] if notes else [])])
+        lines.append(f"| {outcome} | {' | '.join(map(escape.markdown, cells))} |")
+    return "\n".join(
+        [*lines, *(["", *(f"- {escape.markdown(note)}" for note in notes)] if notes else [])]
+    )
 
 
 def _finding(method: MethodRuns, key: str, one: Comparison | None) -> Finding:
@@ -154,9 +157,3 @@ def _listed(what: str, methods: Sequence[MethodRuns]) -> list[str]:
 
 def _near(key: str, numbers: set[Any]) -> str:
     return suggestion(key, sorted(map(str, numbers)))
-
-
-def _cell(text: str) -> str:
-    """Text that stays text in a cell: no bar, tag or line of its own."""
-    plain = " ".join(text.split()).replace("|", "\\|")
-    return plain.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

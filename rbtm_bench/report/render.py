@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from rbtm_bench.core import escape
 from rbtm_bench.core.columns import COLUMNS, KNOWN
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.report.frame import METHOD
@@ -103,7 +104,7 @@ def render(table: pd.DataFrame, fmt: str) -> str:
     without those of the truth and of no motion have them in rows at the end."""
     table = with_references(table)
     if fmt == "csv":
-        return table.to_csv(index=False).rstrip("\n")
+        return escape.csv_table(table).to_csv(index=False).rstrip("\n")
     if fmt == "json":
         rows = table.astype(object).to_dict(orient="records")
         return json.dumps(
@@ -128,7 +129,7 @@ def render(table: pd.DataFrame, fmt: str) -> str:
     headers = list(shown) if fmt == "md" else [_stacked(str(c)) for c in shown]
     kind = "pipe" if fmt == "md" else "simple"
     if fmt == "md":
-        words = words.map(lambda word: word.replace("|", "\\|"))
+        words = words.map(escape.markdown)
     return tabulate(
         words.to_numpy().tolist(), headers, tablefmt=kind, colalign=align, disable_numparse=True
     )

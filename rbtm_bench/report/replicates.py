@@ -7,7 +7,6 @@ median over those; the run on the data as they are stands beside.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from rbtm_bench.core.bounded import read_bytes, read_json
+from rbtm_bench.core.errors import DataError
 from rbtm_bench.runs.evaluation import COMMON
 from rbtm_bench.runs.identity import node_key
 from rbtm_bench.runs.stored import Run, is_number
@@ -54,7 +55,7 @@ def trajectory_of(run: Run) -> str:
     known = run.record.get("trajectory_sha256")
     file = run.path / "trajectory.tum"
     if known is None and file.is_file():
-        return hashlib.sha256(file.read_bytes()).hexdigest()
+        return hashlib.sha256(read_bytes(file)).hexdigest()
     return str(known or run.path)
 
 
@@ -68,10 +69,9 @@ def value_of(run: Run, key: str) -> float | None:
 
 def _common(folder: Path) -> dict[str, Any]:
     try:
-        values = json.loads((folder / COMMON).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_json(folder / COMMON)
+    except DataError:
         return {}
-    return values if isinstance(values, dict) else {}
 
 
 def counted(runs: Sequence[Run]) -> list[Run]:

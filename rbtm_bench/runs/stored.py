@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cache, cached_property, lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+from rbtm_bench.core.bounded import read_json, read_yaml
 from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.kinds import Kind
 from rbtm_bench.runs.identity import Identity, node_key
@@ -83,22 +82,15 @@ def is_number(value: Any) -> bool:
 
 def read_run(path: Path) -> Run:
     """Read a run folder. Raises ``DataError`` naming the file that is missing or damaged."""
-    import yaml
-
-    record = _json(path / "run.json")
-    metrics = _json(path / "metrics.json") if (path / "metrics.json").is_file() else {}
-    try:
-        text = (path / "config.yaml").read_text(encoding="utf-8")
-        config = yaml.load(text, _loader())
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        text = " ".join(str(error).split()) or type(error).__name__
-        raise DataError(f"{path / 'config.yaml'}: {text}") from error
-    if not isinstance(config, dict) or not isinstance(config.get("selector") or {}, dict):
+    record = read_json(path / "run.json")
+    metrics = read_json(path / "metrics.json") if (path / "metrics.json").exists() else {}
+    config = read_yaml(path / "config.yaml")
+    if not isinstance(config.get("selector") or {}, dict):
         raise DataError(f"{path / 'config.yaml'}: expected a run's settings")
     record["choices"] = record.get("choices") or {}
     if not isinstance(record["choices"], dict):
         raise DataError(f"{path / 'run.json'}: choices: expected an object")
-    return Run(path, record, {str(k): v for k, v in config.items()}, metrics)
+    return Run(path, record, config, metrics)
 
 
 def _source(folder: Path) -> Run | None:
@@ -113,25 +105,6 @@ def _source(folder: Path) -> Run | None:
 @lru_cache(maxsize=10_000)
 def _read_source(folder: Path, written: int) -> Run:
     return read_run(folder)
-
-
-@cache
-def _loader() -> Any:
-    """libyaml's safe loader with OmegaConf's own readings: 1e-5 is a number, a date is text.
-
-    OmegaConf's takes 6 ms for a run's settings, this one 0.3 ms.
-    """
-    import yaml
-
-    fast = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # without libyaml: the slow one
-    loader: Any = type("Loader", (fast,), {})
-    plain_exponent = re.compile(r"[-+]?[0-9]+\.?[eE][-+]?[0-9]+$")
-    loader.add_implicit_resolver("tag:yaml.org,2002:float", plain_exponent, list("-+0123456789"))
-    loader.yaml_implicit_resolvers = {
-        first: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(":timestamp")]
-        for first, resolvers in loader.yaml_implicit_resolvers.items()
-    }
-    return loader
 
 
 def find_runs(paths: Iterable[Path]) -> list[Run]:
@@ -161,15 +134,3 @@ def find_runs(paths: Iterable[Path]) -> list[Run]:
     if damage and len(damage) == len(runs):
         raise damage[0]
     return list(runs.values())
-
-
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
-        raise DataError(f"{path}: not readable as JSON: {error}") from error
-    if not isinstance(value, dict):
-        raise DataError(f"{path}: expected an object")
-    return value

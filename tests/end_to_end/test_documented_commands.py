@@ -16,7 +16,7 @@ from sweep_helpers import TESTS, call
 REPO = TESTS.parent
 PAGES = (REPO / "README.md", *sorted((REPO / "docs").glob("*.md")))
 COMMAND = re.compile(
-    r"(rbtm-bench|python scripts/|python -m rbtm_bench|(bash )?scripts/\w+\.sh|pytest) ?"
+    r"(rbtm-bench|python scripts/|python -m (rbtm_bench|pytest)|(bash )?scripts/\w+\.sh|pytest) ?"
 )
 
 ELSEWHERE = {
@@ -50,6 +50,11 @@ ELSEWHERE = {
     "rbtm-bench report results/sweep --serve": "page/test_live_page.py",
     "rbtm-bench run --config-dir mine": "calibration/test_calibrate_command.py",
     "rbtm-bench plot PATH": "plots/test_plots.py",
+    "rbtm-bench new backend nearest": "cli/test_new.py",
+    "rbtm-bench run backend=nearest": "cli/test_new.py",
+    "python -m pytest plugins/": "cli/test_new.py",
+    "rbtm-bench compare backend=open3d_p2p,nearest": "end_to_end/test_plugins.py",
+    "rbtm-bench compare --resume": "engine/test_sweep_folder.py",
 }
 """Starts of commands that need more than a small folder, and the tests that run them."""
 
@@ -138,6 +143,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, data_dir: Path) -> Path:
             words = (f"seed={seed}", f"selector.window={window}")
             run(root / "results/sweep", f"{seed}-{window}", "paper", "rbtm", "none", *words)
     (root / "results" / "s1").symlink_to(root / "results" / "sweep")
+    (root / "names.yaml").write_text("selector:\n  rbtm: Ours\n")
     (root / "results" / "main").symlink_to(root / "results" / "compare")
     return root
 
@@ -146,13 +152,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory, data_dir: Path) -> Path:
 @pytest.mark.parametrize("command", SMALL_ENOUGH)
 def test_a_documented_command_works(command: str, folder: Path, tmp_path: Path) -> None:
     name, *words = shlex.split(command)[1:]
+    words = words[: words.index(">")] if ">" in words else words
     if name in RUNS:
         words = [word for word in words if not word.startswith(("seed=", "out="))]
         words += (
             [] if "--resume" in words else ["controls=none"]
         )  # 22 runs more each: tests/engine/test_beside.py
     if name in (*RUNS, "similarity", "calibrate"):
-        kind = next((w.split("=")[1] for w in words if w.startswith("dataset=")), "corridor")
+        by_path = "carmen" if words and words[0].endswith(".clf.gz") else "corridor"
+        kind = next((w.split("=")[1] for w in words if w.startswith("dataset=")), by_path)
+        words = ["replicates=2" if w.startswith("replicates=") else w for w in words]
         words += SMALL[kind] if name != "calibrate" else ()
         words += [f"out={tmp_path / 'out'}"] if name in RUNS else ["--out", str(tmp_path / "out")]
     if name == "calibrate":

@@ -85,6 +85,8 @@ def test_a_memory_limit_tells_no_runs_apart(tmp_path: Path) -> None:
     out = tmp_path / "out"
     words = ("backend=moody", "backend.how=none,gobble", *SMALL, *MOODY, f"out={out}")
     assert call("compare", *words, "memory_limit=500")[0] == 1
-    code, _, err = call("compare", "--resume", str(out), "memory_limit=600", "time_limit=30")
+    code, _, err = call(
+        "compare", "--resume", str(out), "--trust", "memory_limit=600", "time_limit=30"
+    )
     assert code == 1 and "1 of 2 runs were done before" in err
     assert "more than memory_limit=600 MB" in rows(out)["moody-previous-how=gobble"]["reason"]

@@ -55,7 +55,7 @@ def test_ctrl_c(
     assert "Traceback" not in err, err
     finished = {p: p.read_bytes() for p in out.glob("*/run.json") if record_of(p.parent)["seconds"]}
     assert 2 <= len(finished) < 6
-    code, _, err = call(words[0], "--resume", str(out))
+    code, _, err = call(words[0], "--resume", str(out), "--trust")
     assert code == 0 and statuses(out) == ["done"] * 6
     assert {p: p.read_bytes() for p in finished} == finished
 

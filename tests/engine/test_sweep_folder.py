@@ -62,7 +62,7 @@ def test_fail_fast_and_how_it_goes_on(tmp_path: Path, command: str) -> None:
     assert code == 1 and "failed" in err and "not started" in err
     assert "failed" in statuses(out) and len(rows(out)) < 4
     well.touch()
-    code, _, err = call(command, "--resume", str(out))
+    code, _, err = call(command, "--resume", str(out), "--trust")
     assert code == 0 and "were done before" in err
     assert set(statuses(out)) == {"done"}
 
@@ -166,7 +166,7 @@ def test_a_comparison_goes_on(copy: Path, done: Path) -> None:
     (previous,) = (copy / "c").glob("*previous")
     kept = {run: (run / "run.json").read_bytes() for run in (rbtm, previous)}
     damage(gap, "started")
-    code, _, err = call("compare", "--resume", str(copy / "c"), cwd=TESTS)
+    code, _, err = call("compare", "--resume", str(copy / "c"), "--trust", cwd=TESTS)
     assert code == 0 and "2 of 3 runs were done before" in err
     assert {run: (run / "run.json").read_bytes() for run in (rbtm, previous)} == kept
     assert numbers(copy / "c") == numbers(done / "c")

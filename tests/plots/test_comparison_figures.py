@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation, Text
 
 from rbtm_bench import plots
-from rbtm_bench.core.errors import DataError
-from rbtm_bench.plots import boxes, cost, growth, looks, occupancy, style, trajectories
+from rbtm_bench.core.errors import ConfigError, DataError
+from rbtm_bench.plots import cost, growth, looks, methods, occupancy, style, trajectories
 from rbtm_bench.plots.placing import Label, place
 from rbtm_bench.runs import stored
 from rbtm_bench.runs.occupancy import Occupancy
@@ -55,7 +55,7 @@ def test_the_front_is_what_nothing_beats_in_both(tmp_path: Path) -> None:
     named = {note.get_text(): note.xy for note in ax.texts if isinstance(note, Annotation)}
     assert set(named) == {"a", "b"}
     assert named["a"] in [(1.0, 50.0), (2.0, 20.0)]
-    assert {"previous", "keyframe", "rbtm"} <= set(texts(figure).split("\n"))
+    assert {"Previous", "Keyframe", "RBTM"} <= set(texts(figure).split("\n"))
 
 
 def test_points_close_together_still_have_ticks_between(tmp_path: Path) -> None:
@@ -73,11 +73,12 @@ def test_methods_of_which_a_run_failed_are_pale_and_not_on_the_front(tmp_path: P
     runs += [make_run(tmp_path / "bad", error=None, seed=1)]
     data = data_of(*runs)
     points = cost.read(data, "final_translation_error_mm")
-    assert [point.whole for point in points] == [True, False, True]
+    assert {point.error: point.whole for point in points} == {1.0: False, 20.0: True, 30.0: True}
     assert [(p.time, p.error) for p in cost.front(points)] == [(2.0, 30.0), (3.0, 20.0)]
     (figure,) = cost.draw(data)
-    pale = [line.get_xdata()[0] for line in figure.axes[0].lines if line.get_alpha() is not None]
-    assert pale == [1.0] and "pale: some runs failed" in texts(figure)
+    drawn = figure.axes[0].lines
+    pale = [line.get_xdata()[0] for line in drawn if line.get_alpha() == cost.PARTIAL]
+    assert pale == [1.0] and "some runs failed" in texts(figure)
 
 
 def test_points_are_medians_and_large_errors_metres(tmp_path: Path) -> None:
@@ -95,23 +96,22 @@ def test_points_are_medians_and_large_errors_metres(tmp_path: Path) -> None:
     runs[-1] = make_run(tmp_path / "far", "previous", "none", error=900_000.0)
     (figure,) = cost.draw(data_of(*runs))
     assert figure.axes[0].get_ylim()[1] < 200  # the guess does not widen the axes
-    assert "the guess alone: 900 m, not drawn" in texts(figure)
+    assert "no registration: 900 m \N{UPWARDS ARROW}" in texts(figure)
     assert not list(cost.draw(data_of(*runs[:3])))  # one method: nothing to compare
 
 
-def test_many_settings_name_the_front_with_its_settings(tmp_path: Path) -> None:
-    runs = [
-        make_run(tmp_path / f"w{w}", window=w, ms=float(w), error=100.0 - w if w % 2 else 200.0)
-        for w in range(1, 40)
-    ]
-    (figure,) = cost.draw(data_of(*runs[:21]))
-    named = [note.get_text() for note in figure.axes[0].texts]
-    assert sorted(set(named))[0] == "p2p" and len(named) == 21  # the backend of every point
-    assert "21 methods, settings named on the front" in texts(figure)
+def test_backends_are_told_apart_by_colour_and_a_name_beside_their_line(tmp_path: Path) -> None:
+    runs = numbered(
+        tmp_path, ("plicp", "previous", 1.0, 50.0), ("plicp", "rbtm", 2.0, 20.0),
+        ("psm", "previous", 3.0, 30.0), ("psm", "rbtm", 8.0, 5.0),
+    )  # fmt: skip
     (figure,) = cost.draw(data_of(*runs))
-    named = [note.get_text() for note in figure.axes[0].texts]
-    assert len(named) == 20 and "p2p, rbtm, window\N{NO-BREAK SPACE}39" in named
-    assert "39 methods, named: the front and the best of every backend" in texts(figure)
+    (ax,) = figure.axes
+    named = {note.get_text(): note.get_color() for note in ax.texts}
+    assert named == {"PLICP": looks.BACKENDS["plicp"], "PSM": looks.BACKENDS["psm"]}
+    links = [line for line in ax.lines if line.get_alpha() == cost.LINK["alpha"]]
+    assert [line.get_color() for line in links] == list(named.values())
+    assert all(np.all(np.diff(line.get_xdata()) > 0) for line in links)
 
 
 def test_labels_cover_neither_markers_nor_each_other() -> None:
@@ -128,7 +128,7 @@ def test_labels_cover_neither_markers_nor_each_other() -> None:
         assert ax.get_window_extent().fully_containsx(box.x0)
 
 
-# --- box plots over seeds
+# --- the spread over seeds
 
 
 def seeds(out: Path, errors: list[float], selector: str = "rbtm") -> list[stored.Run]:
@@ -142,41 +142,23 @@ def test_boxes_show_quartiles_extremes_runs_and_n(tmp_path: Path) -> None:
     errors = [10.0, 20.0, 30.0, 40.0, 70.0]
     runs = [*seeds(tmp_path, errors), *seeds(tmp_path, [50.0] * 3, "previous")]
     runs += [make_run(tmp_path / "bad", seed=9, error=None)]
-    ((stem, figure),) = boxes.draw(runs)
-    assert stem == "corridor" and figure.axes[0].get_xlabel() == ""
-    (box,) = figure.axes[0].patches
+    figure = methods.errors(runs)
+    assert figure is not None
+    (box,) = figure.axes[0].patches  # none of three seeds
     corners = box.get_path().vertices[:, 0]
     assert (corners.min(), corners.max()) == (20.0, 40.0)
     drawn = [list(line.get_xdata()) for line in figure.axes[0].lines]
-    assert [30.0, 30.0] in drawn  # the median
+    assert [30.0] in drawn  # the median
     assert [20.0, 10.0] in drawn and [40.0, 70.0] in drawn  # whiskers
     assert errors in drawn and [50.0] * 3 in drawn  # the runs
-    words = texts(figure)
-    assert (
-        "n runs a method" in words
-        and "n = 5 of 6" in words
-        and "n = 3" in words
-        and "final position error (mm)" in words
-    )
+    assert "5 of 6 runs" in texts(figure) and "final position error (mm)" in texts(figure)
 
 
-def test_from_ten_runs_on_the_boxes_stand_alone(tmp_path: Path) -> None:
-    errors = [float(i) for i in range(1, 11)]
-    ((_, figure),) = boxes.draw(seeds(tmp_path, errors))
+def test_many_runs_are_their_box_alone(tmp_path: Path) -> None:
+    errors = [float(i) for i in range(1, methods.ALL + 1)]
+    figure = methods.errors(seeds(tmp_path, errors))
+    assert figure is not None and len(figure.axes[0].patches) == 1
     assert errors not in [list(line.get_xdata()) for line in figure.axes[0].lines]
-    assert "over seeds, n = 10 runs a method" in texts(figure) and "a run" not in texts(
-        figure
-    ).split("\n")
-
-
-def test_few_seeds_and_too_many_methods_have_no_boxes(tmp_path: Path) -> None:
-    assert not list(boxes.draw(seeds(tmp_path / "few", [1.0, 2.0, 3.0])))
-    runs = [
-        make_run(tmp_path / f"{w}-{i}", window=w, seed=i, error=1.0 + i)
-        for w in range(60)
-        for i in range(4)
-    ]
-    assert not list(boxes.draw(runs))
 
 
 # --- occupancy
@@ -191,7 +173,7 @@ def with_grid(run: stored.Run, hits: Any, passed: Any, cell: float = 0.5) -> sto
 
 def test_cells_are_white_black_grey_or_unknown(tmp_path: Path) -> None:
     run = with_grid(make_run(tmp_path / "r"), [[0, 3, 1, 0]], [[4, 1, 3, 0]])
-    figure = occupancy.draw(run, "run r: the first")
+    figure = occupancy.draw(run)
     assert figure is not None
     (image,) = figure.axes[0].images
     pixels = np.asarray(image.get_array())[0]
@@ -200,7 +182,7 @@ def test_cells_are_white_black_grey_or_unknown(tmp_path: Path) -> None:
     assert pixels[3].tolist() == pytest.approx(to_rgb(occupancy.UNKNOWN))
     assert image.get_extent() == [0.0, 2.0, 0.0, 0.5] and image.origin == "lower"
     words = texts(figure)
-    assert "cells of 0.5 m" in words and "never seen" in words and "run r: the first" in words
+    assert "cells of 0.5 m" in words and "never seen" in words
     assert "ground truth" in words and "blocks" not in words
 
 
@@ -244,12 +226,22 @@ def test_plot_makes_the_figures_that_make_sense(tmp_path: Path) -> None:
     ]
     files = plots.draw(runs, tmp_path / "figures")
     stems = {file.stem for file in files}
-    kinds = ("trajectories", "error_over_path", "accuracy_time", "boxes")
+    kinds = ("trajectories", "error_over_path", "accuracy_time")
     assert {f"corridor-{kind}" for kind in kinds} <= stems
     for file in files:
         if file.suffix == ".pdf":  # fonts as TrueType, embedded
             content = file.read_bytes()
             assert b"/FontFile2" in content and b"/Type3" not in content
+    only = plots.draw(
+        runs, tmp_path / "only", ["errors"],
+        style.Drawing(style="talk", titles=False, formats=("svg",)),
+    )  # fmt: skip
+    assert [file.name for file in only] == ["errors.svg"]
+    first = only[0].read_bytes()
+    plots.draw(runs, tmp_path / "only", ["errors"], style.Drawing("talk", False, ("svg",)))
+    assert only[0].read_bytes() == first and b"by method" not in first
+    with pytest.raises(ConfigError, match=r"--only eror: no such figure. Did you mean errors\?"):
+        plots.draw(runs, tmp_path / "only", ["eror"])
     alone = with_grid(make_run(tmp_path / "alone", truth=None, ms=None), [[1]], [[0]])
     assert {file.stem for file in plots.draw([alone], tmp_path / "one")} == {
         "alone-map", "alone-occupancy",

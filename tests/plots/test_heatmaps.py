@@ -240,7 +240,7 @@ def test_one_setting_gives_lines_with_the_control_and_failed_places(tmp_path: Pa
     by_name = {line.get_label(): line for line in ax.lines}
     np.testing.assert_array_equal(by_name["gicp"].get_xydata(), [[4, 41], [8, 81], [16, 161]])
     assert np.isnan(by_name["p2p"].get_ydata()[2])
-    assert {"failed", "selector previous", "window (scans)"} <= set(texts(figure))
+    assert {"failed", "previous", "window (scans)"} <= set(texts(figure))
     assert ax.get_yscale() == "linear" and ax.get_ylim()[0] == 0
     files = {f.stem for f in plots.draw(read(tmp_path), tmp_path / "out")}
     assert "corridor-line" in files and "corridor-heatmap" not in files

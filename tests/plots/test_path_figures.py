@@ -26,12 +26,12 @@ def test_methods_gather_their_seeds_and_count_failures(tmp_path: Path) -> None:
     runs += [make_run(tmp_path / "w8", window=8), make_run(tmp_path / "p", "previous", "gicp")]
     runs += [make_run(tmp_path / "n", "previous", "none")]
     data = data_of(*runs)
-    assert (data.stem, data.name) == ("corridor", "corridor\N{NO-BREAK SPACE}(paper)")
-    assert [panel.name for panel in data.panels] == ["p2p", "gicp"]
-    four, eight = data.panels[0].methods
+    assert (data.stem, data.name) == ("corridor", "Corridor")
+    assert [panel.name for panel in data.panels] == ["gicp", "p2p"]
+    four, eight = data.panels[1].methods
     assert four.runs == [runs[1], runs[0]] and four.failed == 1
     assert eight.runs == [runs[3]] and data.guess is runs[5]
-    assert list(data.methods.values()) == ["rbtm", "rbtm", "previous"]
+    assert list(data.methods.values()) == ["previous", "rbtm", "rbtm"]
 
 
 def test_settings_outside_every_group_make_methods_of_their_own(tmp_path: Path) -> None:
@@ -41,19 +41,19 @@ def test_settings_outside_every_group_make_methods_of_their_own(tmp_path: Path) 
     ]
     names = [method.name for method in data_of(*runs).panels[0].methods]
     assert names == [
-        "previous, guess_along_degenerate=None",
-        "previous, guess_along_degenerate=0.01",
+        "Previous (guess\N{NO-BREAK SPACE}along\N{NO-BREAK SPACE}degenerate\N{NO-BREAK SPACE}None)",
+        "Previous (guess\N{NO-BREAK SPACE}along\N{NO-BREAK SPACE}degenerate\N{NO-BREAK SPACE}0.01)",
     ]
 
 
 def test_of_many_settings_lines_show_the_first_of_every_selector(tmp_path: Path) -> None:
-    runs = [make_run(tmp_path / f"w{w}", window=w) for w in range(2, 8)]
+    runs = [make_run(tmp_path / f"w{w}", window=w, error=20.0 - w) for w in range(2, 8)]
     data = data_of(*runs)
     assert data.few() == (data, "")
-    data = data_of(*runs, make_run(tmp_path / "x", "previous"))
+    data = data_of(*runs, make_run(tmp_path / "x", "previous", error=30.0))
     few, note = data.few()
-    assert [m.runs[0] for m in few.panels[0].methods] == [data.runs[-1], runs[0]]
-    assert note == "of several settings of a selector the first"
+    assert [m.runs[0] for m in few.panels[0].methods] == [data.runs[-1], runs[0], runs[-1]]
+    assert note == "of several settings of a strategy the first, and the best of all"
     (figure,) = trajectories.draw(data)
     assert note in texts(figure)
 
@@ -62,7 +62,7 @@ def test_logs_are_named_by_their_files(tmp_path: Path) -> None:
     runs = [make_run(tmp_path / name, data={"path": f"logs/{name}.clf.gz"}) for name in "ab"]
     named = groups.data_sets(runs)
     assert [data.stem for data in named] == ["corridor-a", "corridor-b"]
-    assert [data.name.split("\N{NO-BREAK SPACE}")[1] for data in named] == ["(a)", "(b)"]
+    assert [data.name for data in named] == ["a", "b"]
 
 
 def test_methods_differ_without_colour() -> None:
@@ -75,6 +75,19 @@ def test_methods_differ_without_colour() -> None:
     several = looks.looks({"a": "rbtm", "b": "rbtm", "c": "previous", "d": "mine"})
     assert several["a"] is looks.SELECTORS["rbtm"] and several["c"] is looks.SELECTORS["previous"]
     assert len({look.marker for look in several.values()}) == 4
+
+
+def test_a_backend_has_one_colour_and_clashes_a_free_one() -> None:
+    own = looks.colours(["mine", "plicp", "open3d_p2plane", "plicp"])
+    assert own["plicp"] == looks.BACKENDS["plicp"] and len(set(own.values())) == 3
+    assert looks.colours(["mine", "plicp"])["plicp"] == own["plicp"]
+    assert len(looks.colours(map(str, range(20)))) == 20
+
+
+def test_every_backend_of_ours_has_a_colour() -> None:
+    from rbtm_bench.runs.settings import members
+
+    assert set(looks.BACKENDS) <= set(members("backend"))
 
 
 # --- trajectories
@@ -90,7 +103,7 @@ def test_paths_lie_upon_the_truth_from_the_same_first_pose(tmp_path: Path) -> No
     (figure,) = trajectories.draw(data_of(*runs))
     (ax,) = figure.axes
     drawn = lines(figure)
-    for name, factor in (("previous", 0.9), ("rbtm, window\N{NO-BREAK SPACE}4", 1.1)):
+    for name, factor in (("Previous", 0.9), ("RBTM (window\N{NO-BREAK SPACE}4)", 1.1)):
         assert np.allclose(drawn[name].get_xydata(), scaled(factor)[:, :2, 3])
     truth = next(line for line in ax.lines if line.get_linewidth() == looks.TRUTH["lw"])
     assert np.allclose(truth.get_xydata(), TURN[:, :2, 3])
@@ -98,18 +111,17 @@ def test_paths_lie_upon_the_truth_from_the_same_first_pose(tmp_path: Path) -> No
     guess = next(line for line in ax.lines if line.get_color() == looks.GUESS["color"])
     assert np.allclose(guess.get_xydata(), scaled(0.5)[:, :2, 3])
     assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_aspect()) == ("x (m)", "y (m)", 1.0)
-    assert {"ground truth", "the guess alone", "start"} <= set(texts(figure).split("\n"))
+    assert {"ground truth", "no registration", "start"} <= set(texts(figure).split("\n"))
 
 
-def test_a_flat_path_is_stretched_and_says_so(tmp_path: Path) -> None:
+def test_a_flat_path_keeps_its_proportions(tmp_path: Path) -> None:
     straight = np.stack([se2(0.1 * i, 0.001 * i, 0.0) for i in range(N)])
     truth = np.stack([se2(0.1 * i, 0.0, 0.0) for i in range(N)])
     runs = [make_run(tmp_path / s, s, poses=straight, truth=truth) for s in ("previous", "rbtm")]
     (figure,) = trajectories.draw(data_of(*runs))
-    stretch = figure.axes[0].get_aspect()
-    assert stretch == 50.0 and "y stretched 50\N{MULTIPLICATION SIGN}" in texts(figure)
-    width, height = figure.axes[0].get_xlim(), figure.axes[0].get_ylim()
-    assert trajectories.TARGET <= stretch * np.ptp(height) / np.ptp(width) <= 1.0
+    (ax,) = figure.axes
+    assert ax.get_aspect() == 1.0 and "stretched" not in texts(figure)
+    assert 0.15 < np.ptp(ax.get_ylim()) / np.ptp(ax.get_xlim()) < 0.3  # still a panel
 
 
 def test_a_lost_path_does_not_decide_the_view_and_ends_at_its_border(tmp_path: Path) -> None:
@@ -121,9 +133,9 @@ def test_a_lost_path_does_not_decide_the_view_and_ends_at_its_border(tmp_path: P
     (figure,) = trajectories.draw(data_of(*runs))
     x0, x1 = figure.axes[0].get_xlim()
     assert -0.5 < x0 < 0 and 1.05 < x1 < 1.5
-    drawn = lines(figure)["previous"].get_xdata()
+    drawn = lines(figure)["Previous"].get_xdata()
     assert len(drawn) == 4 and (drawn[:-1] < x1).all() and drawn[-1] > x1
-    assert "leave the view: previous" in texts(figure)
+    assert "leave the view: Previous" in texts(figure)
 
 
 def test_paths_are_of_the_lowest_seed_that_all_methods_have(tmp_path: Path) -> None:
@@ -211,6 +223,22 @@ def test_no_motion_is_drawn_over_time_and_no_truth_not_at_all(tmp_path: Path) ->
         list(growth.draw(data_of(short)))
 
 
+def test_replicates_that_begin_elsewhere_are_binned_along_the_path(tmp_path: Path) -> None:
+    """They have fewer scans; every one of them counts, over what all of them drove."""
+    long = np.stack([se2(0.01 * i, 0.0, 0.0) for i in range(200)])
+    runs = []
+    for number, skipped in enumerate((0, 3, 9)):
+        truth = long[skipped:]
+        off = truth.copy()
+        off[1:, 1, 3] += 0.1 * (number + 1)
+        runs.append(make_run(tmp_path / str(number), seed=number, poses=off, truth=truth))
+    (figure,) = growth.draw(data_of(*runs))
+    (line,) = lines(figure).values()
+    x, y = line.get_data()
+    assert len(x) <= growth.BINS and x[-1] < 1.91
+    assert np.allclose(y[2:], 200.0) and "median of 3 seeds" in texts(figure)
+
+
 # --- relation error over span
 
 
@@ -239,7 +267,7 @@ def test_relation_errors_are_drawn_with_the_guess(tmp_path: Path) -> None:
     ]
     (figure,) = spans.draw(data_of(*runs))
     drawn = lines(figure)
-    assert [drawn[name].get_ydata().tolist() for name in ("rbtm", "previous")] == [
+    assert [drawn[name].get_ydata().tolist() for name in ("RBTM", "Previous")] == [
         [0.1, 0.1],
         [0.2, 0.2],
     ]

@@ -7,7 +7,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from stat_helpers import make_seeds
+from stat_helpers import MM, make_replicates, make_run, make_seeds
 
 from rbtm_bench.cli.commands import main
 
@@ -35,3 +35,48 @@ def test_it_compiles(
     done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stdout[-2000:]
     assert page.with_suffix(".pdf").read_bytes()[:4] == b"%PDF"
+
+
+COLUMN = (
+    "\\documentclass[conference]{IEEEtran}\\usepackage{booktabs,siunitx}\\begin{document}"
+    "\\input{table}As Table~\\ref{%s} shows.\\end{document}\n"
+)
+
+
+def has_ieee() -> bool:
+    finder = shutil.which("kpsewhich")
+    words = [finder or "", "IEEEtran.cls", "siunitx.sty", "booktabs.sty"]
+    return finder is not None and subprocess.run(words, capture_output=True).returncode == 0
+
+
+@pytest.mark.skipif(not has_ieee(), reason="no pdflatex with IEEEtran is installed")
+@pytest.mark.parametrize(
+    "options",
+    [
+        [],
+        ["--no-spread"],
+        ["--rows", "selector", "--columns", "metric", "--metric", f"{MM},mean_gap"],
+    ],
+)
+def test_the_paper_s_table_stands_alone_in_two_columns(
+    options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With \\input alone: compiled, its label known, nothing wider than where it stands."""
+    runs = tmp_path / "runs"
+    for backend in ("p2p", "100%_of_$&#~^{x}"):
+        for number, selector in enumerate(["previous", "keyframe", "fixed_gap", "rbtm"], start=1):
+            errors = [10.0**number + 0.1 * copy for copy in range(12)]
+            name = f"{selector}-{len(backend)}"
+            make_replicates(runs, selector, errors, name=name, backend=backend)
+    make_run(runs / "failed", "oldest", None)
+    make_run(runs / "log", "rbtm", {"ape_rmse_m": 1.2e-6, "mean_gap": 2.0}, dataset="carmen")
+    assert main(["table", str(runs), "--paper", *options]) == 0
+    text = capsys.readouterr().out
+    (tmp_path / "table.tex").write_text(text)
+    label = text.partition("\\label{")[2].partition("}")[0]
+    (tmp_path / "page.tex").write_text(COLUMN % label)
+    words = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "page.tex"]
+    for _ in range(2):
+        done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert "Overfull" not in done.stdout and "undefined on" not in done.stdout

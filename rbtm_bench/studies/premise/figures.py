@@ -17,11 +17,11 @@ from rbtm_bench.studies.premise.plan import BOUNDS, NOTHING, STRATEGIES, Place
 from rbtm_bench.studies.premise.words import PremiseTables
 
 LOOKS = {
-    "open3d_p2p": Look(style.VERMILION, "-", 1.0, "D", filled=True),
-    "open3d_p2plane": Look(style.BLUE, "-", 1.0, "o"),
-    "plicp": Look(style.BLACK, "-", 1.0, "s", filled=True),
+    "open3d_p2p": Look("-", 1.0, "D", filled=True, colour=style.VERMILION),
+    "open3d_p2plane": Look("-", 1.0, "o", colour=style.BLUE),
+    "plicp": Look("-", 1.0, "s", filled=True, colour=style.BLACK),
 }
-SPARE = Look("0.45", "-", 1.0, "^")
+SPARE = Look("-", 1.0, "^", colour="0.45")
 SHOWN = ("rbtm", "rbtm_overlap")
 LEAST = -3.0
 """Shares below this are drawn at it."""
