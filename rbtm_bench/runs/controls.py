@@ -37,8 +37,13 @@ from rbtm_bench.selection.shifted_gap import ShiftedGap, digest, sequence
 
 ROTATIONS = 19
 """Of which the smallest p is 1 / 20."""
-CONTENT = ("content", "keyframe_distance", "keyframe_angle_deg")
-WINDOW = ("window", *CONTENT)
+CONTENT = (
+    "content",
+    "keyframe_distance",
+    "keyframe_angle_deg",
+    "keyframe_distance_relative",
+)
+WINDOW = ("window", "window_m", *CONTENT)
 """The settings of rbtm that say what it has to choose from."""
 
 Methods = tuple[tuple[Point, ...], ...]

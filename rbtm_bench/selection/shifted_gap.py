@@ -44,8 +44,10 @@ class ShiftedGap(Selector):
         gaps_sha256: OtherRun = None,
         gaps: Sequence[Gap] | None = None,
         content: Content = "scans",
-        keyframe_distance: Distance = 0.3,
+        keyframe_distance: Distance | None = 0.3,
         keyframe_angle_deg: Annotated[float, Gt(0)] = 15.0,
+        keyframe_distance_relative: Annotated[float, Gt(0)] | None = None,
+        window_m: Distance | None = None,
     ) -> None:
         if (gaps_from is None) == (not gaps):
             raise ConfigError(
@@ -60,10 +62,11 @@ class ShiftedGap(Selector):
             )
         self.offset = offset
         self._keyframes = keyframes_or_scans(content, keyframe_distance, keyframe_angle_deg)
+        self._window_m = window_m
         super().__init__(window - 1, "previous" if all(self.gaps) else "skip")
 
     def window(self) -> Window:
-        return Window(self.capacity, self._keyframes)
+        return Window(self.capacity, self._keyframes, self._window_m)
 
     def order(self, scan: int, models: NDArray[np.int64], scores: Array) -> list[tuple[int, str]]:
         gap = self.gaps[(scan - 1 + self.offset) % len(self.gaps)]

@@ -29,7 +29,6 @@ LEAF = 0.25
 """m, the thinning of small_gicp's example."""
 WAYS: dict[str, list[str]] = {
     "best_3d": ["+experiment=best_3d"],
-    "best_3d, no check": ["+experiment=best_3d", "check=none", "recovery=none"],
     "KISS-ICP": ["backend=kiss_icp_system"],
     "small_gicp's example": [],
 }

@@ -72,6 +72,7 @@ def test_a_control_differs_from_its_run_in_the_selector_alone() -> None:
         "replicate=2",
     ]
     words += ["selector.content=keyframes", "selector.keyframe_distance=0.4", "guess=odometry"]
+    words += ["selector.keyframe_distance_relative=0.2", "selector.window_m=5"]
     (ours,) = points(*words)
     for point in plan([ours]).planned:
         theirs = point.settings
@@ -81,6 +82,8 @@ def test_a_control_differs_from_its_run_in_the_selector_alone() -> None:
         if theirs.choices["selector"] in ("oldest", "shifted_gap"):
             assert theirs.config["selector"]["window"] == 7
             assert theirs.config["selector"]["keyframe_distance"] == 0.4
+            assert theirs.config["selector"]["keyframe_distance_relative"] == 0.2
+            assert theirs.config["selector"]["window_m"] == 5
         typed = compose_settings([w for w in theirs.overrides if "gaps" not in w])
         if theirs.choices["selector"] != "shifted_gap":
             assert typed.identity.run == theirs.identity.run, "what it was is what one would type"

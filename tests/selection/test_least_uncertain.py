@@ -10,6 +10,9 @@ from loop_helpers import Perfect, Script, drive, method
 
 from rbtm_bench.core.geometry import se2
 from rbtm_bench.core.types import Node
+from rbtm_bench.core.uncertainty import odometry_covariance
+from rbtm_bench.guess.constant_velocity import ConstantVelocity
+from rbtm_bench.guess.odometry import Odometry
 from rbtm_bench.odometry.loop import odometry
 from rbtm_bench.runs.assembly import instantiate
 from rbtm_bench.runs.settings import compose_settings
@@ -71,10 +74,16 @@ def test_edges_carry_covariances_only_for_who_asks() -> None:
     assert plain[1].edges[0].covariance is None
 
 
-def test_what_nothing_measured_is_as_unsure_as_it_gets() -> None:
-    steps = list(odometry(drive(3), method(Perfect(lost=[(0, 1)]), LeastUncertain(2))))
-    assert steps[1].edges[0].kind == "predicted"
-    np.testing.assert_array_equal(steps[1].edges[0].covariance, np.eye(6))
+def test_a_prediction_is_as_unsure_as_what_it_is_made_of() -> None:
+    """As odometry, where the guess is that; else as unsure as it gets."""
+    for guess, expected in ((Odometry(), None), (ConstantVelocity(), np.eye(6))):
+        way = method(Perfect(lost=[(0, 1)]), LeastUncertain(2), guess=guess)
+        steps = list(odometry(drive(3), way))
+        (edge,) = steps[1].edges
+        assert edge.kind == "predicted"
+        if expected is None:
+            expected = odometry_covariance(edge.T_model_scan, False)
+        np.testing.assert_array_equal(edge.covariance, expected)
 
 
 @pytest.mark.parametrize("backend", ["open3d_p2plane", "plicp", "small_gicp_gicp"])
