@@ -104,10 +104,14 @@ def dispatch(words: list[str]) -> int:
         from rbtm_bench.cli.download import download
 
         return download(words)
-    if command in ("table", "plot"):
-        from rbtm_bench.cli import results
+    if command == "table":
+        from rbtm_bench.cli.results import table
 
-        return {"table": results.table, "plot": results.plot}[command](words)
+        return table(words)
+    if command == "plot":
+        from rbtm_bench.cli.figures import plot
+
+        return plot(words)
     if command in ("show", "diff"):
         from rbtm_bench.cli import inspect
 

@@ -1,4 +1,4 @@
-"""The subcommands that make tables and figures of results: table, plot."""
+"""The subcommand that makes tables of results: table."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def table(words: list[str]) -> int:
     if choice and (options.best or options.over_seeds):
         raise ConfigError(f"{choice}: goes with --intervals or --against, or alone")
     runs = stored.find_runs(options.paths)
-    _warn(runs)
+    warn(runs)
     chosen = _choose(runs, options) if choice else None
     if options.paper:
         print(_paper(chosen or frame.methods(runs), options))
@@ -228,15 +228,7 @@ def _table_parser() -> argparse.ArgumentParser:
         help="a row a method: paired differences from this one, with intervals and tests",
     )
     _add_choice(parser)
-    parser.add_argument(
-        "--metric", metavar="A,B", help="with --intervals, --against: these, not the main error"
-    )
-    parser.add_argument(
-        "--pool",
-        action="store_true",
-        help="with --intervals, --against: all data sets together (seeds x environments, or logs)",
-    )
-    parser.add_argument("--mean", action="store_true", help="with --intervals: not the median")
+    _add_statistics(parser)
     parser.add_argument("--columns", metavar="A,B", help="only these columns")
     parser.add_argument(
         "--sort",
@@ -250,6 +242,19 @@ def _table_parser() -> argparse.ArgumentParser:
         help="only these rows: pandas' query, such as \"backend == 'plicp' and window > 4\"",
     )
     return parser
+
+
+def _add_statistics(parser: argparse.ArgumentParser) -> None:
+    """Options of tables with intervals and tests."""
+    parser.add_argument(
+        "--metric", metavar="A,B", help="with --intervals, --against: these, not the main error"
+    )
+    parser.add_argument(
+        "--pool",
+        action="store_true",
+        help="with --intervals, --against: all data sets together (seeds x environments, or logs)",
+    )
+    parser.add_argument("--mean", action="store_true", help="with --intervals: not the median")
 
 
 def _add_paper(parser: argparse.ArgumentParser) -> None:
@@ -364,58 +369,9 @@ def _say(lines: Sequence[str], fmt: str) -> None:
         print(line, file=sys.stderr)
 
 
-def _warn(runs: Sequence[Run]) -> None:
+def warn(runs: Sequence[Run]) -> None:
     """Print on standard error what makes the runs hard to compare."""
     from rbtm_bench.report import screen
 
     for line in screen.comparison_warnings(runs):
         print(f"warning: {line}", file=sys.stderr)
-
-
-def plot(words: list[str]) -> int:
-    """``rbtm-bench plot PATH...``: figures beside the runs."""
-    parser = argparse.ArgumentParser(
-        prog="rbtm-bench plot",
-        description="Figures of runs (PNG, PDF, SVG): map and occupancy grid with trajectory and "
-        "truth, standard beside rbtm, similarity matrix, gap over time; of methods side by side "
-        "their paths, error over the path, error by method with its spread, accuracy "
-        "against time with the Pareto front; of a sweep heat maps of the error over threshold "
-        "and window. Only what makes sense for the runs (docs/figures.md). Several sweeps are "
-        "merged.",
-    )
-    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH")
-    parser.add_argument("--out", type=Path, help="folder (default: figures/ in the first PATH)")
-    _add_drawing(parser)
-    options = parser.parse_args(words)
-    from rbtm_bench import plots
-    from rbtm_bench.plots.style import Drawing
-    from rbtm_bench.report.names import Names
-
-    runs = stored.find_runs(options.paths)
-    _warn(runs)
-    drawing = Drawing(
-        options.style, not options.no_titles, options.format or ("png", "pdf"),
-        Names.read(options.names),
-    )  # fmt: skip
-    out = options.out or options.paths[0] / "figures"
-    for file in plots.draw(runs, out, options.only or (), drawing):
-        print(file)
-    return 0
-
-
-def _add_drawing(parser: argparse.ArgumentParser) -> None:
-    """Options of how figures are drawn."""
-    parser.add_argument(
-        "--only", action="append", metavar="NAME",
-        help="this figure (errors, trajectories, accuracy_time, ...: docs/figures.md); repeatable",
-    )  # fmt: skip
-    parser.add_argument(
-        "--style", choices=("paper", "talk"), default="paper",
-        help="letters of 8 points in a column's width, or larger ones and thicker lines",
-    )  # fmt: skip
-    parser.add_argument("--no-titles", action="store_true", help="the caption says it")
-    parser.add_argument(
-        "--format", action="append", choices=("png", "pdf", "svg"),
-        help="repeatable (default: png and pdf)",
-    )  # fmt: skip
-    parser.add_argument("--names", type=Path, metavar="FILE", help="a YAML of names over ours")

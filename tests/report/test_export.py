@@ -59,7 +59,7 @@ def test_nothing_is_written_over(run: Path, tmp_path: Path, kind: str) -> None:
         ("trajectory.tum", b"1 2 3\n", "3 columns: expected 8"),
         ("trajectory.tum", b"0 0 0 0 0 0 0 1\n", "1 poses for 12 scans"),
         ("trajectory.tum", b"\0\1", "trajectory.tum: cannot be read"),
-        ("steps.parquet", b"no", "steps.parquet: cannot be read"),
+        ("steps.parquet", b"no", "steps.parquet: not a readable table"),
         ("run.json", None, "the run is failed: nothing to export"),
     ],
 )

@@ -94,7 +94,7 @@ def test_runs_below_a_folder_once_each_and_in_order(tmp_path: Path) -> None:
     [
         (lambda run: (run / "run.json").write_text("{"), "run.json: not readable as JSON"),
         (lambda run: (run / "run.json").write_text("[]"), "run.json: expected an object"),
-        (lambda run: (run / "run.json").write_bytes(b"\xff\xfe"), "run.json: not readable"),
+        (lambda run: (run / "run.json").write_bytes(b"\xff\xfe"), "run.json: not UTF-8 text"),
         (lambda run: (run / "run.json").write_text('{"choices": 3}'), "run.json: choices"),
         (lambda run: (run / "metrics.json").write_text('{"a":'), "metrics.json: not readable"),
         (lambda run: (run / "metrics.json").write_text("3"), "metrics.json: expected an object"),
