@@ -80,10 +80,12 @@ def straight_line(mean: Array, covariance: Array, links: float, length: float) -
     return math.sqrt(sum(squares))
 
 
-def noise_drift(spread: tuple[float, float], links: float, length: float) -> float:
-    """What an error of the truth of this spread (m, rad) would look like after so many pairs."""
+def noise_drift(spread: tuple[float, float], links: float, length: float, units: int) -> float:
+    """What an error of the truth of this spread (m, rad) would look like after so many pairs: by
+    itself, and by the mean that it leaves in so many independent ``units``."""
     m, rad = spread
-    return math.sqrt(links * (m**2 + rad**2 * length**2 / 3.0))
+    by_itself = links * (m**2 + rad**2 * length**2 / 3.0)
+    return math.sqrt(by_itself + links**2 / units * (m**2 + rad**2 * length**2 / 4.0))
 
 
 def _straight(

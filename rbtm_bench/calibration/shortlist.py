@@ -130,8 +130,10 @@ class Shortlist:
         judged = []
         for g in gaps:
             times = g.links * len(self.path) / g.gap
-            least = noise_drift((m, rad), times, length)
-            words = f"an error of the truth of {m:.3f} m would look the same"
+            least = noise_drift((m, rad), times, length, g.drift.n)
+            words = (
+                f"errors of the truth of {m:.3f} m, {np.degrees(rad):.2g} deg would look the same"
+            )
             judged.append(replace(g, unsure=words if 2 * least**2 >= g.drift.value**2 else ""))
         return judged
 

@@ -278,7 +278,8 @@ class Trials:
         points, _ = make_points(asked, self.extra_dirs)
         stem = "-".join([number, backend, candidate.name])
         slug = re.sub(r"[^\w.=+-]+", "_", stem)[:90]
-        return [Point(f"{slug}-{p.settings.config['replicate']}", p.settings) for p in points]
+        copies = [p for p in points if p.settings.config["replicate"]]
+        return [Point(f"{slug}-{p.settings.config['replicate']}", p.settings) for p in copies]
 
 
 def _without(words: Sequence[str], by: Sequence[str]) -> list[str]:

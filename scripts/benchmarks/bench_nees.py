@@ -207,14 +207,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     every = [name for name in settings.members("backend") if not name.endswith("_system")]
     names = options.backends.split(",") if options.backends else every
     pin_to_free_core()
-    with bar("nees") as progress:
-        table = pd.DataFrame(
-            [one for place in places for one in rows(place, names, options.draws, progress.step)]
-        )
-    text = table.to_markdown(index=False)
     make_folder(options.out)
-    table.to_csv(options.out / "nees.csv", index=False)
-    write_text(options.out / "nees.md", text + "\n")
+    made: list[dict[str, str]] = []
+    with bar("nees") as progress:
+        for place in places:  # what is measured stays if it is stopped
+            made += rows(place, names, options.draws, progress.step)
+            table = pd.DataFrame(made)
+            table.to_csv(options.out / "nees.csv", index=False)
+            write_text(options.out / "nees.md", table.to_markdown(index=False) + "\n")
+    text = table.to_markdown(index=False)
     print(text)
     return 0
 

@@ -27,7 +27,8 @@ def test_relations_of_a_log(
     assert main(["calibrate", *words]) == 0
     shown = capsys.readouterr().out
     assert "the log's relations, up to 4 in a row as one" in shown
-    assert "109 relations that cross the cut" in shown
+    assert "108 relations that cross the cut" in shown
+    assert "534 local relations that are the wheels' motion, left out" in shown
     pairs = pd.read_parquet(tmp_path / "a" / "pairs.parquet")
     assert set(pairs["kind"]) == {GAP, REVISIT}
     assert pairs.query("kind == 'gap'")["success"].mean() > 0.85

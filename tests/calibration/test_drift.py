@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rbtm_bench.calibration.drift import PairErrors, drift, noise_drift, straight_line
+from rbtm_bench.calibration.shortlist import Gap, Shortlist
 from rbtm_bench.core.geometry import se2
 from rbtm_bench.core.types import Array
 
@@ -46,9 +47,9 @@ def test_the_formula_by_hand() -> None:
     assert straight_line(mean, covariance, 50, 10.0) == pytest.approx(swung)
     mean[5] = 0.001  # biased heading: 50 b L / 2 = 0.25
     assert straight_line(mean, covariance, 50, 10.0) == pytest.approx(math.hypot(swung, 0.25))
-    assert noise_drift((0.01, 0.002), 50, 10.0) == pytest.approx(
-        math.sqrt(50 * 0.01**2 + 50 * 0.002**2 * 100 / 3)
-    )
+    random = 50 * 0.01**2 + 50 * 0.002**2 * 100 / 3
+    of_mean = 50**2 / 8 * (0.01**2 + 0.002**2 * 100 / 4)  # of eight blocks
+    assert noise_drift((0.01, 0.002), 50, 10.0, 8) == pytest.approx(math.sqrt(random + of_mean))
 
 
 def test_more_registrations_drift_more() -> None:
@@ -99,3 +100,20 @@ def test_intervals_are_of_blocks_and_repeat() -> None:
     assert wide.n == narrow.n == K // BLOCK
     assert wide.high / wide.low > 1.3 * narrow.high / narrow.low  # type: ignore[operator]
     assert drift(of, circle(), 3) == drift(of, circle(), 3)
+
+
+def test_what_the_truth_s_own_errors_would_hide() -> None:
+    """Errors as small as the least spread of any gap may be the truth's; ten times as large not."""
+    small, large, biased = errors(m=0.01), errors(m=0.1), errors(m=0.01, along=0.2)
+    path = line()
+    gaps = [
+        Gap(gap, K, of, 1.0, drift(of, path, gap))
+        for gap, of in ((1, large), (4, small), (8, biased))
+    ]
+    lister = Shortlist.__new__(Shortlist)
+    lister.path, lister._exact = path, False
+    judged = lister._judged(gaps)
+    assert [bool(g.unsure) for g in judged] == [False, True, False]  # a bias is none of noise
+    assert "errors of the truth of 0.01" in judged[1].unsure
+    lister._exact = True
+    assert not any(g.unsure for g in lister._judged(gaps))
