@@ -273,13 +273,13 @@ class Trials:
         first, end = place.reported if part else place.calibration
         crop = [f"{key}={value}" for key, value in zip(CROP, (first, end), strict=True)]
         by = similarities[candidate.similarity] if candidate.similarity else []
-        how = ["pictures=false", "controls=none", f"replicates={self.replicates}"]
+        copies = ",".join(map(str, range(1, self.replicates + 1)))
+        how = ["pictures=false", "controls=none", f"replicate={copies}"]
         asked = [*_without(place.words, by), *by, *candidate.words, *crop, *how]
         points, _ = make_points(asked, self.extra_dirs)
         stem = "-".join([number, backend, candidate.name])
         slug = re.sub(r"[^\w.=+-]+", "_", stem)[:90]
-        copies = [p for p in points if p.settings.config["replicate"]]
-        return [Point(f"{slug}-{p.settings.config['replicate']}", p.settings) for p in copies]
+        return [Point(f"{slug}-{p.settings.config['replicate']}", p.settings) for p in points]
 
 
 def _without(words: Sequence[str], by: Sequence[str]) -> list[str]:
