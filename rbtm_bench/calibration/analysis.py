@@ -6,16 +6,15 @@ logs: give ``roc_rows`` the frames of ``Measured`` of several data sets, concate
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rbtm_bench.calibration import rates
-from rbtm_bench.calibration.advice import Advice, Evidence, advise
 from rbtm_bench.calibration.knee import Knee, knee
-from rbtm_bench.calibration.parts import CALIBRATION, REPORTED
+from rbtm_bench.calibration.parts import REPORTED
 from rbtm_bench.calibration.roc import Area, area, ranks_within
 from rbtm_bench.calibration.sampling import GAP, REVISIT
 from rbtm_bench.core.types import Array
@@ -198,52 +197,3 @@ def knees(measured: Measured) -> dict[tuple[str, str], Knee]:
         for backend, outcome in measured.outcomes.items()
         for name, scores in measured.scores.items()
     }
-
-
-def advices(measured: Measured, wanted: float) -> dict[tuple[str, str], Advice]:
-    """The advice for every backend and similarity, chosen on the calibration part."""
-    return {
-        (backend, name): advise(
-            evidence(measured, outcome, name, CALIBRATION),
-            evidence(measured, outcome, name, REPORTED),
-            wanted,
-        )
-        for backend, outcome in measured.outcomes.items()
-        for name in measured.scores
-    }
-
-
-def evidence(measured: Measured, outcome: pd.DataFrame, similarity: str, part: str) -> Evidence:
-    """What a part says of a backend and a similarity."""
-    pairs, windows = measured.pairs, measured.windows
-    inside = ((pairs["kind"] == GAP) & (pairs["part"] == part)).to_numpy()
-    rows = pairs[inside]
-    offers = windows[windows["part"] == part].assign(
-        score=measured.offered[similarity][(windows["part"] == part).to_numpy()]
-    )
-    table = offers.set_index(["data", "source", "group"])["score"].unstack("group")
-    return Evidence(
-        measured.scores[similarity][inside],
-        outcome["success"].to_numpy(bool)[inside],
-        rows["group"].to_numpy(),
-        rows["cluster"].to_numpy(),
-        table.to_numpy(np.float64),
-        table.columns.to_numpy(np.intp),
-    )
-
-
-def best_of(candidates: Mapping[tuple[str, str], Advice]) -> tuple[str, str] | None:
-    """Of the advices the one to follow, by the calibration part alone: of those that reach the
-    wanted success the one that reaches back farthest, else the one that promises most."""
-    some = {key: a for key, a in candidates.items() if a.chosen and a.chosen.success}
-    if not some:
-        return None
-    reached: Sequence[tuple[str, str]] = [key for key, a in some.items() if a.reached]
-
-    def merit(key: tuple[str, str]) -> tuple[float, float]:
-        chosen = some[key].chosen
-        assert chosen is not None and chosen.success is not None
-        value = chosen.success.cautious
-        return (chosen.reach, value) if reached else (value, chosen.reach)
-
-    return max(reached or list(some), key=merit)

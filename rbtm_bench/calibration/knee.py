@@ -1,10 +1,15 @@
 """Do errors rise abruptly when the similarity falls below some threshold, as the paper says?
 
-Two ways in which log error may follow similarity are compared by how well they predict blocks of
-pairs that they have not seen: gradually (a polynomial of degree 0 to 3, the best of the four) or
-with a knee (two levels, or two straight lines that meet, with the break where it fits best). There
-is a knee where the second predicts better, by more than resampling the blocks explains, and errors
-are larger below the break than above it.
+A knee is a logistic step of log10 error over the score, beside a gradual trend (a cubic): with
+f = 1 / (1 + exp((s - threshold) / tau)), which is 1 well below the threshold and 0 above,
+
+    log10 error = cubic(s) + height f
+
+It is present if the step's height is larger than resampling explains, anywhere and of any width up
+to a quarter of the scores' range: the largest of its t values against that of 1000 sets of data
+without a step, made by turning the sign of whole blocks' residuals (a score test by wild cluster
+bootstrap). The intervals of threshold, width (10 to 90 % of the step) and height are from
+resampled blocks.
 """
 
 from __future__ import annotations
@@ -16,39 +21,53 @@ from numpy.typing import ArrayLike, NDArray
 
 from rbtm_bench.calibration.roc import percentiles, resampled
 from rbtm_bench.core.types import Array
+from rbtm_bench.report.intervals import SEED
 
-FOLDS = 10
-"""Groups of blocks that are left out in turn."""
-BREAKS = 40
-"""Places where the break is looked for: quantiles of the scores from 5 to 95 percent."""
+PLACES = 30
+"""Thresholds that are looked at: quantiles of the scores from 5 to 95 percent."""
+WIDTHS = (0.01, 0.03, 0.08, 0.25)
+"""10 to 90 % of a step, as shares of the scores' range (5 to 95 percent)."""
+TAUS = 2.0 * float(np.log(9.0))
+"""The width from 10 to 90 % in units of tau."""
+DEGREE = 3
 EDGE = 0.05
 FEWEST_PAIRS, FEWEST_BLOCKS = 40, 6
 """With fewer defined scores or blocks it stays open whether errors have a knee."""
 FLOOR_M = 1e-4
 """Errors below this (m) count as this: their logarithm would say nothing about success."""
 RESAMPLES = 1000
-MODELS = ("constant", "line", "parabola", "cubic", "step", "two lines")
-GRADUAL, ABRUPT = MODELS[:4], MODELS[4:]
+LEVEL, POWER_Z = 0.05, 0.84
+"""Of the test; and the normal quantile of a power of 80 %."""
+
+
+@dataclass(frozen=True)
+class Ends:
+    """A number with its interval."""
+
+    value: float
+    low: float | None
+    high: float | None
+
+    def __str__(self) -> str:
+        if self.low is None:
+            return f"{self.value:.3g}"
+        return f"{self.value:.3g} [{self.low:.3g}, {self.high:.3g}]"
 
 
 @dataclass(frozen=True)
 class Knee:
-    """Whether a knee is ``present``. ``threshold`` with its interval; ``rise``: by which factor the
-    median error below is larger than above; ``model``: which of the two abrupt ones fits; ``gain``:
-    mean squared error of log10 that the knee saves on unseen blocks, with its interval;
-    ``gradual``: the best gradual one. ``why``: the outcome in words, or why it stays open."""
+    """Whether a knee is ``present`` (``p`` of the test), in words ``why``. ``threshold`` and
+    ``width`` of the score, ``rise``: by which factor errors below are larger than above; of the
+    step that fits best, present or not. ``smallest``: the rise of a sharp step in the middle of
+    the scores that these data would have shown four times in five."""
 
     present: bool
     why: str
-    threshold: float | None = None
-    low: float | None = None
-    high: float | None = None
-    rise: float | None = None
-    model: str = ""
-    gradual: str = ""
-    gain: float | None = None
-    gain_low: float | None = None
-    gain_high: float | None = None
+    p: float | None = None
+    threshold: Ends | None = None
+    width: Ends | None = None
+    rise: Ends | None = None
+    smallest: float | None = None
 
 
 def knee(scores: ArrayLike, errors: ArrayLike, clusters: ArrayLike) -> Knee:
@@ -58,107 +77,102 @@ def knee(scores: ArrayLike, errors: ArrayLike, clusters: ArrayLike) -> Knee:
     defined = np.isfinite(s)
     s, e, labels = s[defined], e[defined], np.asarray(clusters)[defined]
     labels = np.unique(labels, return_inverse=True)[1]
-    blocks = int(labels.max(initial=-1)) + 1
-    known = np.isfinite(e)
+    blocks, known = int(labels.max(initial=-1)) + 1, np.isfinite(e)
     if len(s) < FEWEST_PAIRS or blocks < FEWEST_BLOCKS or not known.any():
         return Knee(False, f"cannot be said: {len(s)} pairs with a score in {blocks} blocks")
-    breaks = np.unique(np.quantile(s, np.linspace(EDGE, 1 - EDGE, BREAKS)))
-    breaks = breaks[breaks > s.min()]  # else no pair is below
-    if len(breaks) == 0 or np.ptp(s) < 1e-9:
+    low, high = np.quantile(s, [EDGE, 1 - EDGE])
+    if high - low < 1e-9:
         return Knee(False, "cannot be said: nearly all scores are equal")
     y = np.log10(np.maximum(np.where(known, e, e[known].max()), FLOOR_M))
     if np.ptp(y) < 1e-9:
         return Knee(False, "cannot be said: all errors are equal")
-    x = (s - s.mean()) / s.std()
-    designs = _designs(x, (breaks - s.mean()) / s.std())
-    losses = _unseen(designs, y, labels, blocks)
-    mean = {name: float(loss.mean()) for name, loss in losses.items()}
-    gradual, abrupt = (min(names, key=mean.__getitem__) for names in (GRADUAL, ABRUPT))
-    saved = losses[gradual] - losses[abrupt]
-    times = resampled(blocks, RESAMPLES)
-    per_block, sizes = np.bincount(labels, weights=saved), np.bincount(labels)
-    low, high = percentiles((times @ per_block) / (times @ sizes))
-    best, drawn = _where(designs[abrupt], y, labels, times)
-    at = float(breaks[best])
-    below, above = np.median(y[s < at]), np.median(y[s >= at])
-    span = percentiles(breaks[drawn])
-    worse = bool(below > above) and _bends_down(designs[abrupt][best], y, abrupt)
-    better = bool(low is not None and low > 0)
-    present = better and worse
-    rise = float(10 ** (below - above))
-    facts = (at, *span, rise, abrupt, gradual, float(saved.mean()), low, high)
-    return Knee(present, _why(present, better, abrupt, gradual, at, rise), *facts)
-
-
-def _why(present: bool, better: bool, abrupt: str, gradual: str, at: float, rise: float) -> str:
+    places = np.unique(np.quantile(s, np.linspace(EDGE, 1 - EDGE, PLACES)))
+    steps = [(t, w * (high - low)) for t in places[places > s.min()] for w in WIDTHS]
+    if not steps:
+        return Knee(False, "cannot be said: nearly all scores are equal")
+    F = np.stack([_step(s, t, w) for t, w in steps], axis=1)
+    p, critical = _test(F, s, y, labels)
+    present = p < LEVEL
+    threshold, width, rise = _estimates(F, np.array(steps), s, y, labels)
+    smallest = _smallest(_step(s, float(np.median(s)), steps[0][1]), s, y, labels, critical)
+    facts = p, threshold, width, rise, smallest
     if present:
-        return f"knee at {at:.2f}: the median error below is {rise:.1f} times that above ({abrupt})"
-    if better:
-        return f"no knee: errors change at {at:.2f}, but do not rise faster below it"
-    return f"no knee: a {gradual} predicts unseen errors as well as a break does"
+        words = f"knee at {threshold}: errors below are {rise} times those above, within {width}"
+        return Knee(True, f"{words} of the score (p {p:.2g})", *facts)
+    return Knee(
+        False,
+        f"none (p {p:.2g}); a sharp rise of less than {smallest:.2g} times would not have shown",
+        *facts,
+    )
 
 
-def _designs(x: Array, breaks: Array) -> dict[str, list[Array]]:
-    """The design matrices (K, P) of every model, one for every break of the abrupt ones."""
-    one = np.ones_like(x)
-    powers = [np.stack([x**d for d in range(degree + 1)], axis=1) for degree in range(4)]
-    lines = [np.stack([one, np.minimum(x - t, 0), np.maximum(x - t, 0)], 1) for t in breaks]
-    steps = [np.stack([x < t, x >= t], axis=1).astype(np.float64) for t in breaks]
-    gradual = {name: [design] for name, design in zip(GRADUAL, powers, strict=True)}
-    return gradual | {"step": steps, "two lines": lines}
+def _step(s: Array, threshold: float, width: float) -> Array:
+    return np.asarray(0.5 - 0.5 * np.tanh(0.5 * TAUS * (s - threshold) / width))
 
 
-def _unseen(
-    designs: dict[str, list[Array]], y: Array, labels: NDArray[np.intp], blocks: int
-) -> dict[str, Array]:
-    """The squared error (K,) of every model for pairs whose blocks it has not seen."""
-    fold = (np.arange(blocks) % min(FOLDS, blocks))[labels]
-    losses = {name: np.zeros(len(y)) for name in designs}
-    for name, several in designs.items():
-        for k in np.unique(fold):
-            out = fold == k
-            fits = [_solve(d[~out], y[~out]) for d in several]
-            inside = [
-                float(((y[~out] - d[~out] @ b) ** 2).sum())
-                for d, b in zip(several, fits, strict=True)
-            ]
-            best = int(np.argmin(inside))
-            losses[name][out] = (y[out] - several[best][out] @ fits[best]) ** 2
-    return losses
+def _beside_trend(F: Array, s: Array, y: Array) -> tuple[Array, Array]:
+    """What the gradual trend leaves of steps (K, M) and of y (K,)."""
+    x = (s - s.mean()) / s.std()
+    Q = np.linalg.qr(np.stack([x**d for d in range(DEGREE + 1)], axis=1))[0]
+    return F - Q @ (Q.T @ F), y - Q @ (Q.T @ y)
 
 
-def _solve(design: Array, y: Array) -> Array:
-    return np.asarray(np.linalg.lstsq(design, y, rcond=None)[0])
+def _per_block(values: Array, labels: NDArray[np.intp]) -> Array:
+    """Sums (B, ...) over the blocks of values (K, ...)."""
+    sums = np.zeros((int(labels.max()) + 1, *values.shape[1:]))
+    np.add.at(sums, labels, values)
+    return sums
 
 
-def _where(
-    several: list[Array], y: Array, labels: NDArray[np.intp], times: Array
-) -> tuple[int, NDArray[np.intp]]:
-    """The break that fits best, and for every resample of the blocks (B,) its own.
-
-    A block's pairs enter by their sums of products alone, so a resample is a weighted sum.
-    """
-    blocks = times.shape[1]
-    residuals, drawn = list[Array](), list[Array]()
-    for design in several:
-        columns = design.shape[1]
-        member = (labels[:, None] == np.arange(blocks)).astype(np.float64)
-        XX = np.einsum("kb,ki,kj->bij", member, design, design, optimize=True)
-        Xy = np.einsum("kb,ki,k->bi", member, design, y, optimize=True)
-        yy = np.bincount(labels, weights=y * y, minlength=blocks)
-        ridge = 1e-9 * np.eye(columns)
-        for weights, out in ((np.ones((1, blocks)), residuals), (times, drawn)):
-            A = np.tensordot(weights, XX, axes=1) + ridge
-            b = weights @ Xy
-            beta = np.linalg.solve(A, b[..., None])[..., 0]
-            out.append(weights @ yy - (beta * b).sum(axis=1))
-    best = int(np.argmin(np.stack(residuals)[:, 0]))
-    return best, np.argmin(np.stack(drawn), axis=0)
+def _test(F: Array, s: Array, y: Array, labels: NDArray[np.intp]) -> tuple[float, float]:
+    """p of the largest t value of a rise below, and the value that 5 % of data without exceed."""
+    left, residual = _beside_trend(F, s, y)
+    square = (left**2).sum(axis=0)
+    left, square = left[:, square > 1e-6 * len(s)], square[square > 1e-6 * len(s)]
+    by_block = _per_block(left * residual[:, None], labels)
+    scale = np.sqrt((by_block**2).sum(axis=0))
+    if not (scale > 0).any():
+        return 1.0, float("inf")
+    product = by_block.sum(axis=0)
+    by_block = by_block[:, scale > 0] / scale[scale > 0]
+    t = float(by_block.sum(axis=0).max())
+    signs = np.random.default_rng(SEED).choice([-1.0, 1.0], (RESAMPLES, len(by_block)))
+    without = (signs @ by_block).max(axis=1)
+    p = (1 + int((without >= t - 1e-12).sum())) / (1 + RESAMPLES)
+    # where errors fall abruptly, the trend swings beside it: that is no rise
+    rises = product[np.argmax(product**2 / square)] > 0
+    return p if rises else 1.0, float(np.quantile(without, 1 - LEVEL))
 
 
-def _bends_down(design: Array, y: Array, model: str) -> bool:
-    """Whether errors rise faster below the break than above it, as the score falls."""
-    beta = _solve(design, y)
-    if model == "step":
-        return bool(beta[0] > beta[1])
-    return bool(beta[1] < 0 and beta[1] < beta[2])
+def _smallest(f: Array, s: Array, y: Array, labels: NDArray[np.intp], critical: float) -> float:
+    """The rise (a factor) that the test finds four times in five, of one step (K,)."""
+    left, residual = _beside_trend(f[:, None], s, y)
+    square = float((left**2).sum())
+    height = float(left[:, 0] @ residual) / square
+    scores = _per_block(left[:, 0] * (residual - height * left[:, 0]), labels)
+    error = float(np.sqrt((scores**2).sum())) / square
+    return float(10 ** ((critical + POWER_Z) * error))
+
+
+def _estimates(
+    F: Array, steps: Array, s: Array, y: Array, labels: NDArray[np.intp]
+) -> tuple[Ends, Ends, Ends]:
+    """Threshold, width and rise of the step that fits best beside the trend, with percentile
+    intervals over resampled blocks: a resample is a weighted sum of the blocks' sums."""
+    left, residual = _beside_trend(F, s, y)
+    squares, products = (_per_block(a, labels) for a in (left**2, left * residual[:, None]))
+
+    def fit(times: Array) -> tuple[NDArray[np.intp], Array]:
+        square = np.maximum(times @ squares, 1e-12)
+        height = np.maximum(times @ products, 0.0) / square
+        best = np.argmax(height**2 * square, axis=1)  # what it takes from the sum of squares
+        return best, height[np.arange(len(times)), best]
+
+    blocks = len(squares)
+    (best,), (height,) = fit(np.ones((1, blocks)))
+    drawn, heights = fit(resampled(blocks, RESAMPLES))
+    return (
+        Ends(float(steps[best, 0]), *percentiles(steps[drawn, 0])),
+        Ends(float(steps[best, 1]), *percentiles(steps[drawn, 1])),
+        Ends(float(10**height), *percentiles(10**heights)),
+    )

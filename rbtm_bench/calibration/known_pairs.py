@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from rbtm_bench.backends.base import Backend, Prepared
+from rbtm_bench.calibration import guesses
 from rbtm_bench.core.errors import BackendError, DataError
-from rbtm_bench.core.geometry import inverse, rotation_angle, se2, se3, translation_norm
+from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
 from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.datasets.base import Dataset
 from rbtm_bench.odometry import judge
@@ -101,14 +102,5 @@ def register_all(
 def disturbed(pair: KnownPair, metres: float, degrees: float, random: np.random.Generator) -> Array:
     """The true motion with an error of this size: translation and (in space) the axis of rotation
     in a random direction, rotation to a random side."""
-    planar = pair.source.planar
-    angle = math.radians(degrees) * random.choice([-1.0, 1.0])
-    if planar:
-        direction = random.uniform(-math.pi, math.pi)
-        error = se2(metres * math.cos(direction), metres * math.sin(direction), angle)
-        return pair.T_target_source @ error
-    from scipy.spatial.transform import Rotation
-
-    way, axis = (v / np.linalg.norm(v) for v in random.normal(size=(2, 3)))
-    error = se3(metres * way, Rotation.from_rotvec(angle * axis).as_matrix())
-    return pair.T_target_source @ error
+    T = pair.T_target_source[None]
+    return guesses.disturbed(T, metres, degrees, pair.source.planar, random)[0]

@@ -10,26 +10,26 @@ from __future__ import annotations
 import math
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rbtm_bench.calibration import guesses
-from rbtm_bench.calibration.consistency import contradiction
-from rbtm_bench.calibration.sampling import CONSISTENCY_ERROR, Sample
+from rbtm_bench.calibration.sampling import Sample
 from rbtm_bench.core.errors import BackendError, ConfigError, RunError
 from rbtm_bench.core.geometry import inverse
-from rbtm_bench.core.types import Array, RegistrationResult, Scan
+from rbtm_bench.core.types import Array, Scan
 from rbtm_bench.engine.crew import ChildError, Supervisor
 from rbtm_bench.runs.identity import node_key
+from rbtm_bench.runs.replicate import degradation
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from rbtm_bench.backends.base import Backend, Prepared
+    from rbtm_bench.datasets.base import Dataset
     from rbtm_bench.similarity.base import Descriptor, Similarity
 
 Node = dict[str, Any]
@@ -45,18 +45,44 @@ COST_WINDOW, COST_SCANS = 20, 10
 """Cost is timed over windows of so many scans, for so many scans."""
 
 
+SIGNED = ("along_m", "cross_m", "up_m", "roll_deg", "pitch_deg", "heading_deg")
+"""The columns of a pair's signed error in its model's frame (``signed_errors``)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A pair to register: ``truth`` None for the stand-in, which takes ``seed`` for its guesses."""
+    """A pair to register: motions (4, 4) T_target_source."""
 
     number: int
     target: int
     source: int
     guess: Array
-    truth: Array | None
-    middle: int = -1
-    over_middle: Array | None = None
-    seed: int = 0
+    truth: Array
+
+
+def signed_errors(T: Array, truth: Array) -> Array:
+    """How far motions (..., 4, 4) T_target_source are from the true ones, in the target's frame:
+    (..., 6), the difference of the translations (x ahead, y left, z up, m), and the rotation
+    vector (deg) that turns the true rotation into the other, R = exp(r) R_true. In the plane
+    along, cross and heading, and zeros."""
+    from scipy.spatial.transform import Rotation
+
+    R = T[..., :3, :3] @ np.swapaxes(truth[..., :3, :3], -1, -2)
+    turn = Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec(degrees=True)
+    return np.concatenate([T[..., :3, 3] - truth[..., :3, 3], turn.reshape(*R.shape[:-2], 3)], -1)
+
+
+def opened(data: Node) -> Dataset:
+    """The data set of a node of ``data_node``."""
+    from rbtm_bench.runs import assembly, replicate
+
+    return replicate.copy_of(assembly.build(data["dataset"]), data)
+
+
+def data_node(config: Mapping[str, Any]) -> Node:
+    """What of a run's config says which scans there are."""
+    node = {key: config.get(key) for key in ("dataset", "perturb", "deskew")}
+    return node | ({"seed": config["seed"]} if degradation(config).changed() else {})
 
 
 class _Kept:
@@ -79,7 +105,7 @@ class _Kept:
             return
         if not self.key.startswith(data_key):
             self.key = ""  # if anything below fails, nothing of before stands for it
-            self.dataset = assembly.build(data)
+            self.dataset = opened(data)
         self.plugin, self.items, self.bytes, self.key = assembly.build(plugin), {}, 0.0, key
 
     def item(self, scan: int, make: Callable[[Scan], Any]) -> Any:
@@ -119,22 +145,19 @@ def _registered(task: Task) -> Row:
             raise BackendError(str(item))
         return item
 
-    def register(target: int, source: int, guess: Array) -> RegistrationResult:
-        return judge.register(plugin, prepared(source), prepared(target), guess)
-
     row: Row = {"number": task.number, "error_m": math.nan, "error_deg": math.nan}
     row |= {"seconds": math.nan, "converged": None, "fitness": math.nan, "inlier_rmse_m": math.nan}
+    # a run that is left without a registration goes on by its guess
+    row |= dict(zip(SIGNED, signed_errors(task.guess, task.truth).tolist(), strict=True))
     try:
-        if task.truth is None:
-            starts = _disturbed_starts(task, bool(_kept.dataset.planar))
-            result, metres, degrees = contradiction(
-                task.target, task.source, task.middle, starts, register
-            )
-        else:
-            result = register(task.target, task.source, task.guess)
-            metres, degrees = errors_of(result.T_target_source, task.truth)
+        source, target = prepared(task.source), prepared(task.target)
+        result = judge.register(plugin, source, target, task.guess)
     except BackendError as error:
         return row | {"reason": " ".join(str(error).split())}
+    metres, degrees = errors_of(result.T_target_source, task.truth)
+    row |= dict(
+        zip(SIGNED, signed_errors(result.T_target_source, task.truth).tolist(), strict=True)
+    )
     return row | {
         "error_m": metres,
         "error_deg": degrees,
@@ -151,27 +174,6 @@ def _prepare(backend: Backend, scan: Scan) -> Prepared | BackendError:
         return backend.prepare(scan)
     except BackendError as error:
         return error.with_traceback(None)
-
-
-def _disturbed_starts(task: Task, planar: bool) -> dict[tuple[int, int], Array]:
-    """The guess of every registration of the stand-in, each with an error of its own.
-
-    The guess of the pair has one already.
-    """
-    random = np.random.default_rng([task.seed, task.number])
-
-    def wrong(T: Array) -> Array:
-        return guesses.disturbed(T[None], *CONSISTENCY_ERROR, planar, random)[0]
-
-    starts = {
-        (task.target, task.source): task.guess,
-        (task.source, task.target): wrong(inverse(task.guess)),
-    }
-    if task.middle >= 0:
-        assert task.over_middle is not None
-        starts[task.target, task.middle] = wrong(task.over_middle[0])
-        starts[task.middle, task.source] = wrong(task.over_middle[1])
-    return starts
 
 
 def score_chunk(
@@ -266,7 +268,6 @@ def register(
     data: Node,
     backend: Node,
     sample: Sample,
-    seed: int,
     pin: bool,
     done: Callable[[int], None],
 ) -> pd.DataFrame:
@@ -274,21 +275,8 @@ def register(
     import pandas as pd
 
     rows = sample.rows
-    tasks = [
-        Task(
-            k,
-            target,
-            source,
-            sample.guess[k],
-            None if sample.truth is None else sample.truth[k],
-            int(sample.middle[k]),
-            sample.over_middle[k],
-            seed,
-        )
-        for k, (target, source) in enumerate(
-            zip(rows["target"].tolist(), rows["source"].tolist(), strict=True)
-        )
-    ]
+    numbered = zip(rows["target"].tolist(), rows["source"].tolist(), strict=True)
+    tasks = [Task(k, *pair, sample.guess[k], sample.truth[k]) for k, pair in enumerate(numbered)]
     tasks.sort(key=lambda task: (task.source, task.target))  # neighbours share prepared scans
     chunks = [tasks[i : i + CHUNK] for i in range(0, len(tasks), CHUNK)]
     calls: list[Call] = [(register_chunk, (data, backend, chunk)) for chunk in chunks]
@@ -310,7 +298,8 @@ def _row_of(answer: Any, task: Task) -> Row:
     if not isinstance(answer, ChildError):
         row: Row = answer[0]
         return row
-    nothing = dict.fromkeys(
+    signed = zip(SIGNED, signed_errors(task.guess, task.truth).tolist(), strict=True)
+    nothing = dict(signed) | dict.fromkeys(
         ("error_m", "error_deg", "seconds", "fitness", "inlier_rmse_m"), math.nan
     )
     return {"number": task.number, "converged": None, "reason": str(answer), **nothing}

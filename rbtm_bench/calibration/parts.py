@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench.calibration.plan import CalibrationPlan
 from rbtm_bench.core.types import Array
 from rbtm_bench.report import intervals
 
@@ -20,31 +19,19 @@ BLOCKS = 8
 """A part of at least so many blocks: of a shorter log they are shorter."""
 
 
-def parts_of(stamps: Array, known: NDArray[np.bool_], plan: CalibrationPlan) -> Index:
-    """The part (N,) of every scan: 0 calibration, 1 reported, -1 without a known pose.
-
-    "time": the first half of the known scans in time, and the second. "blocks": alternately, a
-    block of ``block_s`` after the other.
-    """
-    part = np.full(len(stamps), -1, np.intp)
+def parts_of(known: NDArray[np.bool_]) -> Index:
+    """The part (N,) of every scan: 0 calibration, the first half of those with a known pose in the
+    order that they are run in, 1 reported, the others; -1 without a known pose."""
+    part = np.full(len(known), -1, np.intp)
     inside = np.flatnonzero(known)
-    if plan.split == "blocks":
-        since = stamps[inside] - stamps[inside].min(initial=np.inf)
-        part[inside] = np.floor(since / plan.block_s).astype(np.intp) % 2
-        return part
-    order = inside[np.argsort(stamps[inside], kind="stable")]
-    part[order] = np.arange(len(order)) >= (len(order) + 1) // 2
+    part[inside] = np.arange(len(inside)) >= (len(inside) + 1) // 2
     return part
 
 
-def stretches(part: Index, stamps: Array) -> Index:
-    """The number (N,) of the stretch of one part that every scan lies in, in the order of time; 0
-    for scans of no part. A cut in time makes two."""
-    number = np.zeros(len(part), np.intp)
-    inside = np.flatnonzero(part >= 0)
-    inside = inside[np.argsort(stamps[inside], kind="stable")]
-    number[inside[1:]] = np.cumsum(np.diff(part[inside]) != 0)
-    return number
+def span_of(part: Index, number: int) -> tuple[int, int]:
+    """The scans of a part as the first and the one behind its last."""
+    inside = np.flatnonzero(part == number)
+    return int(inside[0]), int(inside[-1]) + 1
 
 
 def evenly(count: int, at_most: int) -> Index:

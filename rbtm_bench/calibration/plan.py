@@ -8,10 +8,8 @@ from typing import Literal
 from rbtm_bench.calibration.guesses import GUESSES, GuessName
 from rbtm_bench.core.errors import ConfigError
 
-TruthName = Literal["auto", "poses", "relations", "none"]
-TRUTHS: tuple[TruthName, ...] = ("auto", "poses", "relations", "none")
-SplitName = Literal["time", "blocks"]
-SPLITS: tuple[SplitName, ...] = ("time", "blocks")
+TruthName = Literal["auto", "poses", "relations"]
+TRUTHS: tuple[TruthName, ...] = ("auto", "poses", "relations")
 
 GAPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 """Scans from the model to the new scan; of relations, upper ends of the groups that their gaps
@@ -24,7 +22,7 @@ class CalibrationPlan:
 
     ``gaps`` in scans (None: ``GAPS`` as far as they go); ``pairs`` a gap, of both parts together;
     ``revisits`` in all, of both parts. ``within``, ``disturb`` and ``revisit_error`` are (m, deg).
-    ``success`` is the wanted rate. ``block_s`` (s): length of the blocks of ``split`` "blocks".
+    ``replicates`` of every setting that is run on a part; 0: nothing is run, nothing advised.
     ``chain``: relations that may be joined to one motion. Raises ``ConfigError`` naming the option.
     """
 
@@ -37,15 +35,19 @@ class CalibrationPlan:
     disturb: tuple[float, float] | None = None
     revisit_error: tuple[float, float] = (0.2, 5.0)
     within: tuple[float, float] = (0.1, 2.0)
-    success: float = 0.95
-    split: SplitName = "time"
-    block_s: float = 60.0
+    replicates: int = 10
     seed: int = 0
 
     def __post_init__(self) -> None:
         if self.gaps is not None and (not self.gaps or min(self.gaps) < 1):
             raise ConfigError("--gaps: expected whole numbers of 1 or more, such as 1,2,5,10")
-        for name, least in (("pairs", 2), ("revisits", 0), ("chain", 1), ("seed", 0)):
+        for name, least in (
+            ("pairs", 2),
+            ("revisits", 0),
+            ("chain", 1),
+            ("seed", 0),
+            ("replicates", 0),
+        ):
             if getattr(self, name) < least:
                 raise ConfigError(f"--{name} {getattr(self, name)}: expected at least {least}")
         for name in ("within", "disturb", "revisit_error"):
@@ -55,11 +57,7 @@ class CalibrationPlan:
                 raise ConfigError(f"--{option}: expected two numbers of 0 or more, m and deg")
         if min(self.within) <= 0:
             raise ConfigError("--within: expected two numbers above 0, m and deg")
-        if not 0 < self.success < 1:
-            raise ConfigError(f"--success {self.success:g}: expected a share between 0 and 1")
-        if not self.block_s > 0:
-            raise ConfigError(f"--block {self.block_s:g}: expected seconds above 0")
-        for name, known in (("truth", TRUTHS), ("guess", GUESSES), ("split", SPLITS)):
+        for name, known in (("truth", TRUTHS), ("guess", GUESSES)):
             if getattr(self, name) not in known:
                 options = ", ".join(known)
                 raise ConfigError(f"--{name} {getattr(self, name)}: expected one of {options}")

@@ -30,44 +30,34 @@ class Rate:
     blocks: int
     effective: float
 
-    @property
-    def cautious(self) -> float:
-        """The share less one standard error: Wilson's lower end at z = 1; 0 for no pairs."""
-        return wilson(self.value, self.effective, 1.0)[0] if self.n else 0.0
 
-
-def rate(success: ArrayLike, clusters: ArrayLike, weights: ArrayLike | None = None) -> Rate:
-    """The (weighted) share of successes (K,), with Wilson's interval (1927) at the effective number
-    of pairs (Korn and Graubard 1998): the number of independent ones that would vary as much as the
-    blocks do, never more than all, and at most the number of blocks where all pairs agree.
+def rate(success: ArrayLike, clusters: ArrayLike) -> Rate:
+    """The share of successes (K,), with Wilson's interval (1927) at the effective number of pairs
+    (Korn and Graubard 1998): the number of independent ones that would vary as much as the blocks
+    do, never more than all, and at most the number of blocks where all pairs agree.
 
     NaN and [0, 1] for no pairs.
     """
     good = np.asarray(success, np.float64)
-    w = np.ones(len(good)) if weights is None else np.asarray(weights, np.float64)
-    used = w > 0
-    good, w, labels = good[used], w[used], np.asarray(clusters)[used]
     if len(good) == 0:
         return Rate(math.nan, 0.0, 1.0, 0, 0, 0.0)
-    labels = np.unique(labels, return_inverse=True)[1]
-    blocks = int(labels.max()) + 1
-    p = float(np.clip((w * good).sum() / w.sum(), 0.0, 1.0))
-    kish = float(w.sum() ** 2 / (w**2).sum())
-    effective = min(kish, float(blocks))
+    labels = np.unique(np.asarray(clusters), return_inverse=True)[1]
+    blocks, n = int(labels.max()) + 1, len(good)
+    p = float(good.mean())
+    effective = float(min(n, blocks))
     if 0.0 < p < 1.0 and blocks > 1:
-        off = np.bincount(labels, weights=w * (good - p)) / w.sum()
+        off = np.bincount(labels, weights=good - p) / n
         variance = blocks / (blocks - 1) * float((off**2).sum())
-        effective = min(kish, p * (1 - p) / variance) if variance > 0 else kish
+        effective = min(n, p * (1 - p) / variance) if variance > 0 else float(n)
     low, high = wilson(p, effective)
-    return Rate(p, low, high, len(good), blocks, effective)
+    return Rate(p, low, high, n, blocks, effective)
 
 
-def wilson(p: float, n: float, z: float | None = None) -> tuple[float, float]:
-    """Wilson's score interval for a share ``p`` of ``n``; ``z`` None: that of 95%."""
-    if z is None:
-        from scipy.stats import norm
+def wilson(p: float, n: float) -> tuple[float, float]:
+    """Wilson's 95 % score interval for a share ``p`` of ``n``, which need not be a whole number."""
+    from scipy.stats import norm
 
-        z = float(norm.ppf(0.5 + LEVEL / 2))
+    z = float(norm.ppf(0.5 + LEVEL / 2))
     middle = (p + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * math.sqrt(p * (1 - p) / n + z * z / (4 * n * n))
     return max(0.0, middle - half), min(1.0, middle + half)

@@ -17,6 +17,8 @@ Index = NDArray[np.intp]
 
 TOLERANCE_S = 1e-4
 """s between a relation's end and the stamp of the scan that it means."""
+WHEELS_M = 1e-3
+"""m; a local relation that is nearer to odometry than this is taken for a copy of it."""
 LOCAL_S = 30.0
 """s; ends further apart in time belong to two visits of a place."""
 
@@ -26,7 +28,8 @@ class Known:
     """Motions (K, 4, 4) known between scans ``target`` (the earlier) and ``source`` (K,).
 
     ``links``: of how many relations each is made; ``local``: its ends are at most 30 s apart.
-    ``unmatched`` relations mean no scan, or one and the same twice.
+    ``unmatched`` relations mean no scan, or one and the same twice; those ``of_wheels`` (of any
+    that mean two) are left out.
     """
 
     target: Index
@@ -35,6 +38,22 @@ class Known:
     links: Index
     local: NDArray[np.bool_]
     unmatched: int = 0
+    of_wheels: int = 0
+
+
+def of_wheels(track: Track, relations: Relations) -> NDArray[np.bool_]:
+    """(R,) the local relations whose translation is that of wheel odometry to a millimetre: they
+    were copied from it, and reward a method that copies it as well."""
+    equal = np.zeros(len(relations), bool)
+    if track.odometry is None:
+        return equal
+    i = nearest(track.stamps, relations.start, TOLERANCE_S)
+    j = nearest(track.stamps, relations.end, TOLERANCE_S)
+    near = (i >= 0) & (j >= 0) & (np.abs(relations.end - relations.start) <= LOCAL_S)
+    moved = inverse(track.odometry[i[near]]) @ track.odometry[j[near]]
+    off = moved[:, :3, 3] - relations.T_start_end[near, :3, 3]
+    equal[near] = np.linalg.norm(off, axis=1) <= WHEELS_M
+    return equal
 
 
 def known_motions(track: Track, relations: Relations, chain: int) -> Known:
@@ -48,6 +67,8 @@ def known_motions(track: Track, relations: Relations, chain: int) -> Known:
     T = relations.T_start_end
     fits = (i >= 0) & (j >= 0) & (i != j)
     unmatched = int((~fits).sum())
+    wheels = fits & of_wheels(track, relations)
+    fits &= ~wheels
     i, j, T = i[fits], j[fits], T[fits]
     backwards = j < i  # scans of a file are not always in the order of time
     T = np.where(backwards[:, None, None], inverse(T), T)
@@ -61,7 +82,15 @@ def known_motions(track: Track, relations: Relations, chain: int) -> Known:
     near = np.abs(track.stamps[source] - track.stamps[target]) <= LOCAL_S
     first = links == 1
     keep = near | first  # a chain that lasts longer than a local relation is dropped
-    return Known(target[keep], source[keep], motion[keep], links[keep], near[keep], unmatched)
+    return Known(
+        target[keep],
+        source[keep],
+        motion[keep],
+        links[keep],
+        near[keep],
+        unmatched,
+        int(wheels.sum()),
+    )
 
 
 def _chained(i: Index, j: Index, T: Array, chain: int) -> list[tuple[Index, Index, Array, Index]]:

@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rbtm_bench.calibration import guesses
-from rbtm_bench.calibration.advice import Advice, Promise
 from rbtm_bench.calibration.analysis import ALL, EQUAL, PREDICTORS, Measured
 from rbtm_bench.calibration.parts import PARTS
 from rbtm_bench.calibration.plan import CalibrationPlan
 from rbtm_bench.calibration.rates import Rate, rate
 from rbtm_bench.calibration.sampling import (
-    CONSISTENCY_ERROR,
     GAP,
     REVISIT,
     REVISIT_M,
@@ -23,6 +21,7 @@ from rbtm_bench.calibration.sampling import (
     Sample,
 )
 from rbtm_bench.calibration.tables import Findings, one_area
+from rbtm_bench.calibration.trial import Trial, Verdict
 from rbtm_bench.report.intervals import FEWEST_UNITS
 
 if TYPE_CHECKING:
@@ -31,14 +30,7 @@ if TYPE_CHECKING:
 TRUTH = {
     "poses": "the data set's true poses",
     "relations": "the log's relations",
-    "none": "none is known: how far registrations of the same scans contradict each other "
-    "(forward and backward, and over a scan between) stands in for the error",
 }
-STAND_IN = (
-    "The stand-in is no truth: an error that is the same in every direction is not seen, and a "
-    "pair fails as soon as one of its up to four registrations does. Its areas rank similarities; "
-    "its rates, and thresholds for a wanted rate, are those of this test, not of a run."
-)
 FEW_BLOCKS = 8
 
 
@@ -46,17 +38,19 @@ def text(
     measured: Measured,
     samples: Sequence[Sample],
     findings: Findings,
+    verdicts: Mapping[str, Verdict],
     plan: CalibrationPlan,
     data: Sequence[str],
 ) -> str:
-    """The whole report."""
+    """The whole report; the advice last."""
     parts = [
         _pairs(measured, samples, plan, data),
         _success(measured),
         *(_areas(measured, findings, kind) for kind in (GAP, REVISIT)),
         _knees(findings),
-        _advice(findings, plan, samples[0].conditions["guess"]),
-        _notes(measured, samples, findings, plan),
+        _gaps(findings),
+        _notes(measured, samples),
+        *(_advice(backend, verdict) for backend, verdict in verdicts.items()),
     ]
     return "\n\n".join("\n".join(lines) for lines in parts if lines)
 
@@ -78,10 +72,7 @@ def _pairs(
     if conditions["disturbed"]:
         guess += f", disturbed by {conditions['disturbed']} in a random direction"
     lines.append(f"  guess      {guess}")
-    halves = "first and second half in time"
-    if plan.split == "blocks":
-        halves = f"blocks of {plan.block_s:g} s in turn"
-    lines.append(f"  two parts  calibration and reported: {halves}; nothing in both")
+    lines.append("  two parts  calibration and reported: first and second half; nothing in both")
     counts = {key: sum(s.counts.get(key, 0) for s in samples) for s in samples for key in s.counts}
     lines.append(
         "  counts     "
@@ -219,75 +210,56 @@ def _of_area(row: Mapping[str, Any], key: str = "auc", sign: bool = False) -> st
 def _knees(findings: Findings) -> list[str]:
     lines = ["Is there a similarity below which errors rise abruptly? (the paper's knee)"]
     for (backend, similarity), knee in findings.knees.items():
-        between = (
-            f" [{knee.low:.2f}, {knee.high:.2f}]" if knee.present and knee.low is not None else ""
-        )
+        lines.append(f"  {backend}, {similarity}: {knee.why}")
+    return lines
+
+
+def _gaps(findings: Findings) -> list[str]:
+    """What each gap's errors predict at the end of the calibration part."""
+    lines = ["Drift over the calibration part that the pairs of a gap predict (m)"]
+    for backend, gaps in findings.gaps.items():
+        lines.append(f"  {backend}")
+        for g in gaps:
+            interval = f"[{g.drift.low:.3g}, {g.drift.high:.3g}]" if g.drift.low is not None else ""
+            unsure = f"; cannot predict: {g.unsure}" if g.unsure else ""
+            lines.append(f"    gap {g.gap:<4} {g.drift.value:.3g} {interval}{unsure}")
+    return lines if any(findings.gaps.values()) else []
+
+
+def _advice(backend: str, verdict: Verdict) -> list[str]:
+    """What was run, and what to take."""
+    metric = verdict.tried[0].metric
+    lines = [f"{backend}: settings run on the calibration part; {metric}: median [quartiles] worst"]
+    lines += _of_trials(sorted(verdict.tried, key=lambda t: t.median), verdict)
+    lines.append(f"{backend}: the advice beside the references on the reported part")
+    lines += _of_trials(verdict.shown, verdict)
+    advice, instead = verdict.advice, verdict.instead
+    for other, comparison in zip(verdict.shown[1:], verdict.comparisons, strict=True):
+        lines.append(f"  against {other.name}: {comparison.words(advice.name)}")
+    if verdict.kept:
+        lines.append(f"  ADVICE for {backend}: {advice.name}")
+    else:
+        times = advice.median / instead.median
         lines.append(
-            f"  {backend}, {similarity}: {knee.why}{between and f'; at 95%: {between.strip()}'}"
+            f"  ADVICE for {backend} withdrawn: {advice.name} has {times:.3g} times the error of "
+            f"{instead.name} on the reported part: take {instead.name}"
         )
     return lines
 
 
-def _advice(findings: Findings, plan: CalibrationPlan, guess: str) -> list[str]:
-    lines = [
-        f"Threshold and window for {plan.success:.0%} success, less one standard error: chosen on "
-        "the calibration part to reach back farthest;",
-        "and what they do on the reported part",
-    ]
-    for (backend, similarity), advice in findings.advices.items():
-        lines.append(f"  {backend}, {similarity}: {_setting(advice)}")
-        lines += [f"      {line}" for line in _of_advice(advice)]
-    if findings.best is not None:
-        backend, similarity = findings.best
-        best = findings.advices[findings.best]
-        reach = "reaches back farthest" if best.reached else "promises most, not enough"
-        lines.append(f"  ready to paste (the one that {reach}):")
-        start = "" if guess == "truth" else f" guess={guess}"  # a run's own may be another
-        lines.append(f"    {backend_words(backend, similarity)} {overrides(best)}{start}")
-    return lines
-
-
-def backend_words(backend: str, similarity: str) -> str:
-    """The labels as words for a command line: a label is a name, then the settings that differ."""
-    words = []
-    for group, label in (("backend", backend), ("similarity", similarity)):
-        name, *settings = label.split(" ")
-        words += [f"{group}={name}", *(f"{group}.{word}" for word in settings)]
-    return " ".join(words)
-
-
-def _setting(advice: Advice) -> str:
-    if advice.chosen is None:
-        return advice.why
-    words = f"selector.threshold={advice.chosen.threshold:g} selector.window={advice.chosen.window}"
-    return words if advice.reached else f"{words}, but {advice.why}"
-
-
-def _of_advice(advice: Advice) -> Iterator[str]:
-    if advice.chosen is None or advice.reported is None:
-        return
-    alone = "; all pass the threshold, the window alone decides" if advice.chosen.all_pass else ""
-    yield f"calibration {_of_promise(advice.chosen)}{alone}"
-    smallest = ""
-    if advice.previous is not None and advice.previous.n:
-        smallest = f"; the smallest gap alone: {_share(advice.previous)}"
-    yield f"reported    {_of_promise(advice.reported)}{smallest}"
-
-
-def overrides(advice: Advice) -> str:
-    """The advice as words for a command line."""
-    assert advice.chosen is not None
-    return (
-        f"selector=rbtm selector.threshold={advice.chosen.threshold:g} "
-        f"selector.window={advice.chosen.window}"
-    )
-
-
-def _of_promise(promise: Promise) -> str:
-    use = f"chooses for {promise.used:.0%} of the scans, mean gap {promise.reach:.1f}"
-    if promise.success is None:
-        return f"success not known ({promise.pairs} pairs); {use}"
-    return f"{_share(promise.success)} of {promise.pairs} pairs; {use}"
+def _of_trials(trials: Sequence[Trial], verdict: Verdict) -> Iterator[str]:
+    wide = max(len(t.name) for t in trials)
+    for t in trials:
+        q1, q3 = np.quantile(t.values, [0.25, 0.75], method="inverted_cdf")
+        star = "*" if t.candidate.words == verdict.advice.candidate.words else " "
+        wheels = "" if t.of_wheels is None else f"; {t.of_wheels:.3g} of wheels' relations"
+        drift = t.candidate.drift
+        predicted = "" if drift is None else f"; predicted drift {drift.value:.3g} m"
+        yield (
+            f"  {star} {t.name:<{wide}} {t.median:.3g} [{q1:.3g}, {q3:.3g}] {t.values.max():.3g}; "
+            f"mean gap {t.mean('mean_gap'):.3g}; {t.cost:.2g} registrations, "
+            f"{t.mean('ms_per_scan'):.2g} ms a scan{wheels}{predicted}"
+        )
 
 
 def _share(success: Rate) -> str:
@@ -296,16 +268,8 @@ def _share(success: Rate) -> str:
     return f"{success.value:.0%} [{success.low:.0%}, {success.high:.0%}]"
 
 
-def _notes(
-    measured: Measured, samples: Sequence[Sample], findings: Findings, plan: CalibrationPlan
-) -> list[str]:
+def _notes(measured: Measured, samples: Sequence[Sample]) -> list[str]:
     lines = []
-    if samples[0].truth is None:
-        lines.append(STAND_IN)
-        size = f"{CONSISTENCY_ERROR[0]:g} m and {CONSISTENCY_ERROR[1]:g} deg"
-        lines.append(
-            f"Each of its registrations starts from a guess with an error of its own ({size})."
-        )
     inside = (measured.pairs["kind"] == GAP).to_numpy()
     for name, outcome in measured.outcomes.items():
         good = outcome["success"].to_numpy(bool)[inside]

@@ -5,16 +5,20 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from rbtm_bench.calibration import measuring
 from rbtm_bench.calibration.analysis import Measured, successes
-from rbtm_bench.calibration.measuring import Node
+from rbtm_bench.calibration.measuring import Node, data_node
+from rbtm_bench.calibration.parts import PARTS, span_of
 from rbtm_bench.calibration.plan import CalibrationPlan
 from rbtm_bench.calibration.sampling import GAP, Sample, draw
+from rbtm_bench.calibration.shortlist import REFERENCES, Candidate
 from rbtm_bench.calibration.track import Track, track_of
+from rbtm_bench.calibration.trial import Place, Trials, Verdict
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.core.types import Array
 from rbtm_bench.core.wording import shown
@@ -40,6 +44,12 @@ class Asked:
     choices: Mapping[str, str]
     """By label of a backend or similarity, the member of its group."""
 
+    def words(self, group: str, label: str) -> list[str]:
+        """What chooses a backend or similarity on a command line: a label is a name, then the
+        settings that differ."""
+        settings = label.split(" ")[1:]
+        return [f"{group}={self.choices[label]}", *(f"{group}.{word}" for word in settings)]
+
 
 def asked_of(points: Sequence[Point]) -> Asked:
     """The parts of a grid, which must be its product. Raises ``ConfigError`` where they are not, or
@@ -48,13 +58,14 @@ def asked_of(points: Sequence[Point]) -> Asked:
         if is_system(point.settings.config):
             name = point.settings.choices["backend"]
             raise ConfigError(f"backend={name} is a whole system: it registers no pairs of scans")
-    groups = ("dataset", "backend", "similarity")
+    groups = ("data", "backend", "similarity")
+    configs = [{**p.settings.config, "data": data_node(p.settings.config)} for p in points]
     nodes: dict[str, dict[str, tuple[str, Node]]] = {group: {} for group in groups}
-    for point in points:
+    for point, config in zip(points, configs, strict=True):
         for group in groups:
-            node = point.settings.config[group]
-            nodes[group].setdefault(_key(node), (point.settings.choices[group], node))
-    triples = {tuple(_key(p.settings.config[g]) for g in groups) for p in points}
+            name = point.settings.choices["dataset" if group == "data" else group]
+            nodes[group].setdefault(_key(config[group]), (name, config[group]))
+    triples = {tuple(_key(config[g]) for g in groups) for config in configs}
     if len(triples) != np.prod([len(by_key) for by_key in nodes.values()]):
         raise ConfigError(
             "a calibration takes the same backends and similarities, with the same settings, for "
@@ -66,7 +77,7 @@ def asked_of(points: Sequence[Point]) -> Asked:
         for group in groups[1:]
         for label, (name, _) in zip(labels[group], nodes[group].values(), strict=True)
     }
-    return Asked(labels["dataset"], labels["backend"], labels["similarity"], choices)
+    return Asked(labels["data"], labels["backend"], labels["similarity"], choices)
 
 
 def _key(node: Any) -> str:
@@ -77,10 +88,17 @@ def _labelled(named: Sequence[tuple[str, Node]]) -> dict[str, Node]:
     """The nodes by name, and by the settings in which those of one name differ."""
     out: dict[str, Node] = {}
     for name, node in named:
-        alike = [other for n, other in named if n == name]
-        keys = [k for k in node if len({_key(other.get(k)) for other in alike}) > 1]
-        out[" ".join([name, *(f"{k}={shown(node[k])}" for k in keys)])] = node
+        alike = [_flat(other) for n, other in named if n == name]
+        keys = {k: v for k, v in _flat(node).items() if len({_key(o.get(k)) for o in alike}) > 1}
+        out[" ".join([name, *(f"{k}={shown(v)}" for k, v in keys.items())])] = node
     return out
+
+
+def _flat(node: Node) -> Node:
+    """The settings of a plug-in, or of a data set and what is done to it."""
+    if "dataset" not in node:
+        return node
+    return {**node["dataset"], **(node["perturb"] or {}), "deskew": node["deskew"]}
 
 
 def measure(
@@ -102,9 +120,7 @@ def measure(
             offered[name].append(on_windows)
         for name, backend in asked.backends.items():
             done = work.saying(name)
-            outcomes[name].append(
-                measuring.register(crew, node, backend, sample, plan.seed, pin, done)
-            )
+            outcomes[name].append(measuring.register(crew, node, backend, sample, pin, done))
     costs = _costs(asked, crew, pin)
     pairs, windows = _together(samples)
     return (
@@ -120,6 +136,45 @@ def measure(
     )
 
 
+def run_trials(
+    points: Sequence[Point],
+    asked: Asked,
+    plan: CalibrationPlan,
+    samples: Sequence[Sample],
+    candidates: Mapping[str, Sequence[Candidate]],
+    out: Path,
+    extra_dirs: tuple[Path, ...],
+    crew: Sequence[Supervisor],
+    progress: Progress,
+) -> dict[str, Verdict]:
+    """What is run of the references and candidates, by backend; nothing without replicates."""
+    if not plan.replicates:
+        return {}
+    similarities = {name: asked.words("similarity", name) for name in asked.similarities}
+    verdicts = {}
+    for backend, node in asked.backends.items():
+        places = []
+        for data, sample in zip(asked.data.values(), samples, strict=True):
+            mine = next(
+                p.settings
+                for p in points
+                if data_node(p.settings.config) == data and p.settings.config["backend"] == node
+            )
+            by = data["perturb"] or {}
+            first, every = by.get("first_scan", 0), by.get("every_scan", 1)
+            spans = [span_of(sample.part, number) for number in range(len(PARTS))]
+            (a, b), (c, d) = [(first + every * s, first + every * e) for s, e in spans]
+            places.append(Place(mine.overrides, (a, b), (c, d), sample.of_wheels))
+
+        def told(word: str, done: int, total: int, who: str = backend) -> None:
+            progress(done, total, f"{who}: {word}")
+
+        trials = Trials(places, plan.replicates, out, extra_dirs, crew, told)
+        asked_for = [*REFERENCES, *candidates[backend]]
+        verdicts[backend] = trials.verdict(backend, asked_for, similarities)
+    return verdicts
+
+
 def _judged(tables: Sequence[pd.DataFrame], plan: CalibrationPlan) -> pd.DataFrame:
     import pandas as pd
 
@@ -128,10 +183,9 @@ def _judged(tables: Sequence[pd.DataFrame], plan: CalibrationPlan) -> pd.DataFra
 
 
 def _track(node: Node, progress: Progress) -> Track:
-    from rbtm_bench.runs import assembly
-
-    dataset = assembly.build(node)
-    return track_of(dataset, lambda done, total: progress(done, total, "reading scans"))
+    return track_of(
+        measuring.opened(node), lambda done, total: progress(done, total, "reading scans")
+    )
 
 
 class _Work:

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rbtm_bench.calibration import guesses
-from rbtm_bench.calibration.parts import PARTS, clusters_of, evenly, parts_of, stretches
+from rbtm_bench.calibration.parts import PARTS, clusters_of, evenly, parts_of
 from rbtm_bench.calibration.plan import CalibrationPlan
-from rbtm_bench.calibration.reference import Known, known_motions
+from rbtm_bench.calibration.reference import Known, known_motions, of_wheels
 from rbtm_bench.calibration.track import Track, travelled
 from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.geometry import inverse, rotation_angle, translation_norm
@@ -38,8 +38,6 @@ REVISIT_TRAVELLED_M = 10.0
 """m of path between them, at least."""
 WINDOWS = 100
 """Scans a part whose windows are scored to see what a threshold would choose."""
-CONSISTENCY_ERROR = (0.2, 5.0)
-"""m, deg; of every guess of the stand-in, so that a method which keeps its guess fails the test."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,18 +46,19 @@ class Sample:
 
     ``rows``: target, source (scan numbers, the model first), gap, group (the gap or group of gaps
     that it is compared within), kind, part, links, cluster, travelled_m, distance_m, rotation_deg.
-    ``truth`` (K, 4, 4) is None for the stand-in; ``guess`` (K, 4, 4). ``middle`` (K,): a scan
-    between the two for the stand-in's loop, -1 for none, and ``over_middle`` (K, 2, 4, 4)
-    the guesses to it and on from it.
+    ``truth`` and ``guess`` (K, 4, 4) are T_target_source. ``part`` (N,) of every scan;
+    ``path`` (N, 4, 4) their true poses, else odometry's, None without either; ``of_wheels`` (R,)
+    which relations are the wheels' motion, None where truth is a pose a scan.
     ``windows``: scans that a window offers (target, source, group, part), ``window_guess`` with
     them. ``conditions``: how the pairs came about; ``counts``: how many are in and were left out.
     """
 
     rows: pd.DataFrame
-    truth: Array | None
+    truth: Array
     guess: Array
-    middle: Index
-    over_middle: Array
+    part: Index
+    path: Array | None
+    of_wheels: NDArray[np.bool_] | None
     windows: pd.DataFrame
     window_guess: Array
     conditions: Mapping[str, str]
@@ -104,7 +103,7 @@ def draw(track: Track, plan: CalibrationPlan) -> Sample:
     truth = truth_of(track, plan)
     guess = guesses.resolved(plan.guess, track, truth)
     known = track.known if truth == "poses" else np.ones(len(track), bool)
-    part = parts_of(track.stamps, known, plan)
+    part = parts_of(known)
     drawn = _Drawn()
     counts: dict[str, int] = {}
     if truth == "relations":
@@ -119,8 +118,10 @@ def draw(track: Track, plan: CalibrationPlan) -> Sample:
 
 
 def truth_of(track: Track, plan: CalibrationPlan) -> str:
-    """Where truth comes from: poses, relations or none."""
-    known = {"poses": track.truth is not None, "relations": bool(track.relations), "none": True}
+    """Where truth comes from: poses or relations. Raises ``DataError`` for data with neither."""
+    known = {"poses": track.truth is not None, "relations": bool(track.relations)}
+    if not any(known.values()):
+        raise DataError("a calibration needs true poses or relations: these data have neither")
     if plan.truth == "auto":
         return next(name for name, has in known.items() if has)
     if not known[plan.truth]:
@@ -142,15 +143,14 @@ def _across_gaps(
 ) -> None:
     """For scans spread over each part, the pairs with the scans that lie each of the gaps back:
     the same number of pairs a gap, and the same new scans."""
+    assert track.truth is not None
     gaps = _gaps_that_fit(track, part, plan)
     for number in range(len(PARTS)):
         anchors = _anchors(part, number, gaps[-1])
         anchors = anchors[evenly(len(anchors), plan.pairs // 2)]
         for gap in gaps:
             target = anchors - gap
-            T = np.full((len(anchors), 4, 4), np.nan)
-            if track.truth is not None:
-                T = inverse(track.truth[target]) @ track.truth[anchors]
+            T = inverse(track.truth[target]) @ track.truth[anchors]
             drawn.add(target, anchors, np.full(len(anchors), gap), number, T)
     both = [(part[:-g], part[g:], known[:-g] & known[g:]) for g in gaps]
     counts["pairs that cross the cut"] = sum(int(((a != b) & k).sum()) for a, b, k in both)
@@ -233,12 +233,10 @@ def _from_relations(
     group = np.append(edges, 0)[np.searchsorted(edges, gap)]
     far = translation_norm(known.T_target_source)
     near = [g for g in edges if np.any(group == g) and np.median(far[group == g]) <= track.reach]
-    # a local relation may not span the other part's block either
-    stretch = stretches(part, track.stamps)
     crosses = part[known.target] != part[known.source]
-    crosses |= known.local & (stretch[known.target] != stretch[known.source])
     single = known.links == 1
     counts["relations that mean no two scans"] = known.unmatched
+    counts["local relations that are the wheels' motion, left out"] = known.of_wheels
     counts["relations that cross the cut"] = int((crosses & single).sum())
     beyond = known.local & ~np.isin(group, near)
     counts["relations over larger gaps"] = int((beyond & single).sum())
@@ -281,16 +279,11 @@ def _sample(
     target, source, revisit = (
         np.concatenate(drawn.target), np.concatenate(drawn.source), np.concatenate(drawn.revisit),
     )  # fmt: skip
-    size = plan.disturb or (CONSISTENCY_ERROR if truth == "none" else (0.0, 0.0))
+    size = plan.disturb or (0.0, 0.0)
     start, moved = _starts(track, plan, guess, size, target, source, revisit, T)
     cluster, block_s = clusters_of(track.stamps, target, source, revisit)
     rows = _rows(drawn, target, source, revisit, moved, track.travelled(), cluster)
     windows, window_guess = _windows(rows, start, track, part, truth, guess, plan)
-    loop = (source - target >= 2) & (truth == "none")
-    middle = np.where(loop, source - (source - target) // 2, -1)
-    between = np.maximum(middle, 0)
-    how = guess if truth == "none" else "identity"
-    over = [guesses.motions(how, track, a, b) for a, b in ((target, between), (between, source))]
     for name in PARTS:
         inside = (rows["part"] == name).to_numpy()
         counts[f"{name} pairs across gaps"] = int((inside & ~revisit).sum())
@@ -298,20 +291,13 @@ def _sample(
     conditions = {
         "truth": truth,
         "guess": guess,
+        "exact": "yes" if track.exact and truth == "poses" else "",
         "disturbed": "" if size == (0.0, 0.0) else f"{size[0]:g} m and {size[1]:g} deg",
         "block_s": f"{block_s:.3g}",
     }
-    return Sample(
-        rows,
-        None if truth == "none" else T,
-        start,
-        middle,
-        np.stack(over, axis=1),
-        windows,
-        window_guess,
-        conditions,
-        counts,
-    )
+    path = track.truth if truth == "poses" else track.odometry
+    wheels = of_wheels(track, track.relations) if truth == "relations" and track.relations else None
+    return Sample(rows, T, start, part, path, wheels, windows, window_guess, conditions, counts)
 
 
 def _starts(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from rbtm_bench.calibration import analysis
-from rbtm_bench.calibration.advice import Advice
 from rbtm_bench.calibration.analysis import ALL, EQUAL, Measured
-from rbtm_bench.calibration.knee import Knee
-from rbtm_bench.calibration.sampling import GAP
+from rbtm_bench.calibration.knee import Ends, Knee
+from rbtm_bench.calibration.parts import PARTS
+from rbtm_bench.calibration.sampling import GAP, Sample
+from rbtm_bench.calibration.shortlist import Candidate, Gap, Shortlist
+from rbtm_bench.calibration.trial import Trial, Verdict
 from rbtm_bench.core.files import write_atomically, write_text
 
 if TYPE_CHECKING:
@@ -31,19 +33,19 @@ class Findings:
     roc: pd.DataFrame
     curves: pd.DataFrame
     knees: Mapping[Key, Knee]
-    advices: Mapping[Key, Advice]
-    best: Key | None
+    gaps: Mapping[str, Sequence[Gap]]
+    candidates: Mapping[str, Sequence[Candidate]]
 
 
-def analyse(measured: Measured, wanted: float) -> Findings:
-    """All answers. Nothing is random but the resampling of blocks, whose seed is fixed."""
-    advices = analysis.advices(measured, wanted)
+def analyse(measured: Measured, samples: Sequence[Sample]) -> Findings:
+    """What pairs say. Nothing is random but the resampling of blocks, whose seed is fixed."""
+    lists = {backend: Shortlist(measured, backend, samples) for backend in measured.outcomes}
     return Findings(
         analysis.roc_rows(measured),
         analysis.summary_rows(measured),
         analysis.knees(measured),
-        advices,
-        analysis.best_of(advices),
+        {backend: one.gaps for backend, one in lists.items()},
+        {backend: one.candidates() for backend, one in lists.items()},
     )
 
 
@@ -71,10 +73,10 @@ def score_rows(measured: Measured) -> pd.DataFrame:
 
 
 def summary(measured: Measured, findings: Findings) -> pd.DataFrame:
-    """A row a backend and similarity: areas, knee, advice and what it did on the reported part."""
+    """A row a backend and similarity: areas, cost of a score, knee."""
     import pandas as pd
 
-    return pd.DataFrame([_summary_row(key, measured, findings) for key in findings.advices])
+    return pd.DataFrame([_summary_row(key, measured, findings) for key in findings.knees])
 
 
 def _summary_row(key: Key, measured: Measured, findings: Findings) -> dict[str, Any]:
@@ -84,25 +86,59 @@ def _summary_row(key: Key, measured: Measured, findings: Findings) -> dict[str, 
         area = one_area(findings.roc, backend, similarity, how)
         row |= {f"{short}{end}": area.get(f"auc{end}") for end in ("", "_low", "_high")}
     row["score_us"] = 1e6 * measured.costs.get(similarity, (np.nan, np.nan))[1]
-    knee, advice = findings.knees[key], findings.advices[key]
-    row |= {"knee": knee.threshold if knee.present else None}
-    row |= {"knee_low": knee.low if knee.present else None}
-    row |= {"knee_high": knee.high if knee.present else None}
-    row |= {"wanted": advice.wanted, "reached": advice.reached}
-    chosen, reported = advice.chosen, advice.reported
-    row["threshold"] = chosen.threshold if chosen else None
-    row["window"] = chosen.window if chosen else None
-    for name, promise in (("calibration", chosen), ("reported", reported)):
-        rate = promise.success if promise else None
-        row[f"{name}_success"] = rate.value if rate else None
-        row[f"{name}_success_low"] = rate.low if rate else None
-        row[f"{name}_success_high"] = rate.high if rate else None
-        row[f"{name}_pairs"] = promise.pairs if promise else None
-        row[f"{name}_used"] = promise.used if promise else None
-        row[f"{name}_mean_gap"] = promise.reach if promise else None
-    row["previous_success"] = advice.previous.value if advice.previous else None
-    row["best"] = key == findings.best
+    knee = findings.knees[key]
+    row |= {"knee": knee.present, "knee_p": knee.p, "knee_smallest": knee.smallest}
+    for name in ("threshold", "width", "rise"):
+        ends = getattr(knee, name)
+        for end, value in zip(("", "_low", "_high"), _three(ends), strict=True):
+            row[f"knee_{name}{end}"] = value
     return row
+
+
+def _three(ends: Ends | None) -> tuple[float | None, float | None, float | None]:
+    return (None, None, None) if ends is None else (ends.value, ends.low, ends.high)
+
+
+def gap_rows(findings: Findings) -> pd.DataFrame:
+    """A row a backend and gap: the errors' means and spreads, and the drift that they predict."""
+    import pandas as pd
+
+    rows = []
+    for backend, gaps in findings.gaps.items():
+        for g in gaps:
+            m, rad = g.errors.spread
+            along, cross = g.errors.shift.mean(axis=0)[:2]
+            row = {"backend": backend, "gap": g.gap, "pairs": g.pairs, "mean_along_m": along}
+            row |= {"mean_cross_m": cross, "spread_m": m, "spread_deg": float(np.degrees(rad))}
+            row["mean_heading_deg"] = float(np.degrees(g.errors.turn[:, 2].mean()))
+            row |= {"drift_m": g.drift.value, "drift_low_m": g.drift.low}
+            rows.append(row | {"drift_high_m": g.drift.high, "unsure": g.unsure})
+    return pd.DataFrame(rows)
+
+
+def trial_rows(verdicts: Mapping[str, Verdict]) -> pd.DataFrame:
+    """A row a setting that was run, by backend and part; ``error``: the median of replicates."""
+    import pandas as pd
+
+    parts = [
+        (backend, part, trial, trial.candidate.words == verdict.advice.candidate.words)
+        for backend, verdict in verdicts.items()
+        for part, trials in zip(PARTS, (verdict.tried, verdict.shown), strict=True)
+        for trial in trials
+    ]
+    return pd.DataFrame([_trial_row(*one) for one in parts])
+
+
+def _trial_row(backend: str, part: str, trial: Trial, advised: bool) -> dict[str, Any]:
+    c = trial.candidate
+    row: dict[str, Any] = {"backend": backend, "part": part, "setting": trial.name}
+    row |= {"words": " ".join(c.words), "similarity": c.similarity, "advised": advised}
+    row |= {"predicted_m": c.drift.value if c.drift else None, "error": trial.median}
+    for name, q in (("q1", 0.25), ("q3", 0.75), ("worst", 1.0)):
+        row[name] = float(np.quantile(trial.values, q, method="inverted_cdf"))
+    row |= {"error_of_wheels": trial.of_wheels, "mean_gap": trial.mean("mean_gap")}
+    row |= {"registrations_per_scan": trial.cost, "ms_per_scan": trial.mean("ms_per_scan")}
+    return row | {"replicates": len(trial.values)}
 
 
 def one_area(
@@ -119,19 +155,17 @@ def one_area(
     return {} if rows.empty else {str(k): v for k, v in rows.iloc[0].items()}
 
 
-def write(measured: Measured, findings: Findings, out: Path) -> list[Path]:
-    """``pairs.parquet``, ``scores.parquet``, ``roc.csv``, ``curves.csv``, ``summary.csv`` and
-    ``summary.md``; each appears whole or not at all."""
+def write(
+    measured: Measured, findings: Findings, verdicts: Mapping[str, Verdict], out: Path
+) -> None:
+    """``pairs.parquet``, ``scores.parquet``, ``roc.csv``, ``curves.csv``, ``gaps.csv``,
+    ``trials.csv``, ``summary.csv`` and ``summary.md``; each appears whole or not at all."""
     table = summary(measured, findings)
     parquet = {"pairs": pair_rows(measured), "scores": score_rows(measured)}
     csv = {"roc": findings.roc, "curves": findings.curves, "summary": table}
-    text = table.round(3).to_markdown(index=False) + "\n"
-    written = [
-        *(out / f"{name}.parquet" for name in parquet),
-        *(out / f"{name}.csv" for name in csv),
-    ]
-    for path, rows in zip(written, [*parquet.values(), *csv.values()], strict=True):
-        save = rows.to_parquet if path.suffix == ".parquet" else rows.to_csv
-        write_atomically(path, functools.partial(save, index=False))
-    write_text(out / "summary.md", text)
-    return [*written, out / "summary.md"]
+    csv |= {"gaps": gap_rows(findings), "trials": trial_rows(verdicts)}
+    files = {f"{name}.parquet": rows.to_parquet for name, rows in parquet.items()}
+    files |= {f"{name}.csv": rows.to_csv for name, rows in csv.items()}
+    for name, save in files.items():
+        write_atomically(out / name, functools.partial(save, index=False))
+    write_text(out / "summary.md", table.round(3).to_markdown(index=False) + "\n")

@@ -31,6 +31,8 @@ class Track:
     reach: float
     planar: bool
     relations: Relations | None
+    exact: bool = False
+    """Whether the truth is that of a simulation."""
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -84,4 +86,5 @@ def track_of(dataset: Dataset, progress: Callable[[int, int], None] | None = Non
         float(np.median(np.concatenate(ranges))) if ranges else 0.0,
         dataset.planar,
         dataset.relations,
+        dataset.truth_is_exact,
     )

@@ -21,31 +21,34 @@ if TYPE_CHECKING:
     from rbtm_bench.calibration.running import Asked
     from rbtm_bench.calibration.sampling import Sample
     from rbtm_bench.calibration.tables import Findings
+    from rbtm_bench.calibration.trial import Verdict
     from rbtm_bench.engine.crew import Supervisor
     from rbtm_bench.runs.grid import Point
 
 HELP = """\
-Error against similarity: which threshold and window should RBTM have on this data?
+Which model scan on this data: RBTM (threshold, window), a keyframe every so many m, a fixed gap?
 
-Pairs of scans are registered and compared with the truth: does a high similarity mean a small
-error, more than a small gap does anyway, and from which similarity on?
+Pairs of scans are registered and compared with the truth: what would a chain of them drift, does a
+high similarity mean a small error, more than a small gap does anyway, and from which similarity on?
+The settings that pairs predict to drift least are then run, with replicates, on the first half of
+the data; the best one, beside previous and the default keyframe and rbtm, on the second half.
 
 examples
   rbtm-bench calibrate                                              the embedded corridor
   rbtm-bench calibrate backend=open3d_p2p,plicp similarity=curvature,curvature_circular
   rbtm-bench calibrate dataset=carmen dataset.path=aces.clf.gz dataset.relations=aces.relations
-  rbtm-bench calibrate dataset=carmen dataset.path=intel-corrected.log.gz --success 0.9
-  rbtm-bench calibrate similarity.half_span_deg=3,5,8 seed=0,1,2 --within 0.01,0.5
+  rbtm-bench calibrate dataset=carmen dataset.path=intel-corrected.log.gz perturb.end_scan=500
+  rbtm-bench calibrate similarity.half_span_deg=3,5,8 seed=0,1,2 --within 0.01,0.5 --replicates 0
   rbtm-bench calibrate --write mine/experiment/corridor.yaml
   rbtm-bench run --config-dir mine +experiment=corridor             ... and use it
 
-Truth: true poses, else relations (short ones in a row are joined over larger gaps), else none:
-then registrations forward, backward and over a scan between must agree, and every result says so.
-The data are cut in two: the advice is chosen on one part and what it does is measured on the other.
+Truth: true poses, else relations (short ones in a row are joined over larger gaps); local relations
+that are the wheels' own motion choose nothing. --replicates 0 runs nothing and advises nothing.
 
-The folder (--out, or out=DIR) holds report.txt (what is printed), summary.csv and summary.md (a row
-a backend and similarity), roc.csv, curves.csv (success and errors over similarity), pairs.parquet,
-scores.parquet, calibration.json and figures. docs/calibration.md defines everything."""
+The folder (--out, or out=DIR) holds report.txt (what is printed), trials.csv (a row a setting that
+was run), gaps.csv, summary.csv and summary.md (a row a backend and similarity), roc.csv, curves.csv
+(success and errors over similarity), pairs.parquet, scores.parquet, calibration.json, runs/ and
+figures. docs/calibration.md defines everything."""
 
 
 def calibrate(words: list[str]) -> int:
@@ -57,6 +60,7 @@ def calibrate(words: list[str]) -> int:
     from rbtm_bench.runs.grid import make_points
 
     plan = plan_of(options)
+    refuse_own(overrides)
     jobs = options.jobs if options.jobs is not None else drive.default_jobs()
     if jobs < 1:
         raise ConfigError(f"--jobs {jobs}: expected at least 1")
@@ -69,9 +73,9 @@ def calibrate(words: list[str]) -> int:
     for note in notes:
         print(note, file=sys.stderr)
     with drive.make_crew(jobs) as crew:
-        _measure(points, asked, plan, crew, out)
+        verdicts = _measure(points, asked, plan, crew, out, tuple(map(Path, options.config_dir)))
     if write is not None:
-        _write_experiment(out, asked, points, write)
+        _write_experiment(verdicts, write)
     return 0
 
 
@@ -81,7 +85,8 @@ def _measure(
     plan: CalibrationPlan,
     crew: Sequence[Supervisor],
     out: Path,
-) -> None:
+    extra_dirs: tuple[Path, ...],
+) -> dict[str, Verdict]:
     from rbtm_bench.calibration import report, running, tables
     from rbtm_bench.core.files import make_folder, write_text
     from rbtm_bench.engine import one_run
@@ -89,22 +94,27 @@ def _measure(
     pin = bool(points[0].settings.config["pin"])
     crew[0].call(one_run.check_data, [_without_guess(point) for point in points], pin=pin)
     with bar("calibrate") as progress:
-        measured, samples = running.measure(asked, plan, crew, pin, progress.update_to)
-        progress.update_to(0, None, "resampling")
+        told = progress.update_to
+        measured, samples = running.measure(asked, plan, crew, pin, told)
+        told(0, None, "resampling")
         # in a pinned child: sums on one core have the same last bits everywhere
-        findings = crew[0].call(tables.analyse, measured, plan.success, pin=pin)
-        progress.update_to(0, None, "drawing")
+        findings = crew[0].call(tables.analyse, measured, samples, pin=pin)
         make_folder(out)
-        names = _data_names(points, asked)
-        text = report.text(measured, samples, findings, plan, names)
-        tables.write(measured, findings, out)
+        verdicts = running.run_trials(
+            points, asked, plan, samples, findings.candidates, out, extra_dirs, crew, told
+        )
+        told(0, None, "drawing")
+        names = _data_names(asked)
+        text = report.text(measured, samples, findings, verdicts, plan, names)
+        tables.write(measured, findings, verdicts, out)
         write_text(out / "report.txt", text + "\n")
-        _write_record(points, plan, samples, findings, out)
-        drawn = _figures(measured, findings, plan, samples, names)
+        _write_record(points, plan, samples, verdicts, out)
+        drawn = _figures(measured, findings, plan, names)
         _save_figures(drawn, out)
-    files = "report.txt, summary.md, roc.csv, curves.csv, pairs.parquet"
+    files = "report.txt, trials.csv, summary.md, roc.csv, curves.csv, pairs.parquet"
     print(text)
     print(f"\n{out}: {files}, {len(drawn)} figures")
+    return verdicts
 
 
 def _without_guess(point: Point) -> Point:
@@ -120,14 +130,12 @@ def _figures(
     measured: Measured,
     findings: Findings,
     plan: CalibrationPlan,
-    samples: Sequence[Sample],
     names: Sequence[str],
 ) -> list[tuple[str, Figure]]:
     """The figures, each with the stem of its file's name."""
     from rbtm_bench.calibration import tables
     from rbtm_bench.plots import calibration, style
 
-    stand_in = samples[0].truth is None
     with style.paper():
         return calibration.figures(
             tables.pair_rows(measured),
@@ -135,7 +143,6 @@ def _figures(
             findings.curves,
             findings.roc,
             plan.within,
-            stand_in,
             ", ".join(names),
         )
 
@@ -148,11 +155,11 @@ def _save_figures(drawn: Sequence[tuple[str, Figure]], out: Path) -> None:
             style.save(figure, out, re.sub(r"[^\w.=+-]+", "_", stem))
 
 
-def _data_names(points: Sequence[Point], asked: Asked) -> list[str]:
+def _data_names(asked: Asked) -> list[str]:
     """The data sets as one would name them: a log by its file's name."""
     names = []
     for label, node in asked.data.items():
-        path = node.get("path")
+        path = node["dataset"].get("path")
         first = label.split(" ")[0]
         names.append(label.replace(first, f"{first} {Path(str(path)).name}", 1) if path else label)
     return names
@@ -162,7 +169,7 @@ def _write_record(
     points: Sequence[Point],
     plan: CalibrationPlan,
     samples: Sequence[Sample],
-    findings: Findings,
+    verdicts: dict[str, Verdict],
     out: Path,
 ) -> None:
     """``calibration.json``: what was asked, how pairs came about, and where it was computed."""
@@ -178,7 +185,10 @@ def _write_record(
     record["plan"] = asdict(plan)
     record["samples"] = [{**sample.conditions, **sample.counts} for sample in samples]
     record["points"] = [point.settings.config for point in points]
-    record["best"] = findings.best
+    record["advice"] = {
+        backend: {"setting": v.advice.name, "kept": v.kept, "instead": v.instead.name}
+        for backend, v in verdicts.items()
+    }
     write_json(out / "calibration.json", record)
 
 
@@ -196,17 +206,19 @@ def _place_to_write(name: str | None) -> Path | None:
     return path
 
 
-def _write_experiment(out: Path, asked: Asked, points: Sequence[Point], path: Path) -> None:
-    """Write the best advice as an experiment and say how to use it."""
+def _write_experiment(verdicts: dict[str, Verdict], path: Path) -> None:
+    """Write the advice of the backend with the least error on the calibration part as an
+    experiment and say how to use it."""
     from rbtm_bench.calibration import experiment_file
     from rbtm_bench.core.files import make_folder, write_text
 
-    content = experiment_file.content(out, asked, points)
-    if content is None:
-        print(f"{path}: not written, no advice for these data", file=sys.stderr)
+    if not verdicts:
+        print(f"{path}: not written, nothing was run", file=sys.stderr)
         return
+    least = min(verdicts, key=lambda backend: min(t.median for t in verdicts[backend].tried))
     make_folder(path.parent)
-    write_text(path, content)
+    command = " ".join(["rbtm-bench", *sys.argv[1:]])
+    write_text(path, experiment_file.content(least, verdicts[least], command))
     folder = path.parent.parent
     print(f"{path}: use it as   rbtm-bench run --config-dir {folder} +experiment={path.stem} ...")
 
@@ -234,11 +246,18 @@ def plan_of(options: argparse.Namespace) -> CalibrationPlan:
         disturb=_two("--disturb", options.disturb),
         revisit_error=_two("--revisit-error", options.revisit_error) or (0.0, 0.0),
         within=_two("--within", options.within) or (0.0, 0.0),
-        success=options.success,
-        split=options.split,
-        block_s=options.block,
+        replicates=options.replicates,
         seed=options.seed,
     )
+
+
+def refuse_own(overrides: Sequence[str]) -> None:
+    """Refuse what a calibration asks for itself."""
+    for word in overrides:
+        key = word.lstrip("+").partition("=")[0]
+        if key.partition(".")[0] == "selector" or key in ("replicates", "replicate"):
+            what = "chooses the selector" if key[0] == "s" else "has --replicates N"
+            raise ConfigError(f"{word}: a calibration {what} itself")
 
 
 def _numbers(option: str, text: str, kind: type) -> list[Any]:
@@ -260,7 +279,7 @@ def _two(option: str, text: str | None) -> tuple[float, float] | None:
 
 def _parse(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
     from rbtm_bench.calibration.guesses import GUESSES
-    from rbtm_bench.calibration.plan import GAPS, SPLITS, TRUTHS
+    from rbtm_bench.calibration.plan import GAPS, TRUTHS
 
     parser = argparse.ArgumentParser(
         prog="rbtm-bench calibrate",
@@ -270,7 +289,8 @@ def _parse(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
         allow_abbrev=False,
     )
     add = parser.add_argument
-    add("--success", type=float, default=0.95, metavar="SHARE", help="wanted rate (default 0.95)")
+    add("--replicates", type=int, default=10, metavar="N",
+        help="perturbed copies that settings are run on (default 10; 0: run nothing)")  # fmt: skip
     add("--within", default="0.1,2", metavar="M,DEG",
         help="success: at most so far from the truth (default 0.1,2; the errors of corrected poses "
         "and relations are about 0.03 m and 0.3 deg)")  # fmt: skip
@@ -288,13 +308,10 @@ def _parse(words: list[str]) -> tuple[argparse.Namespace, list[str]]:
     add("--guess", choices=GUESSES, default="auto",
         help="initial guess (auto: odometry, else constant_velocity, else identity)")  # fmt: skip
     add("--disturb", metavar="M,DEG",
-        help="error added to every guess (default none; without truth 0.2,5)")  # fmt: skip
-    add("--split", choices=SPLITS, default="time",
-        help="calibration and reported part: first and second half, or blocks in turn")  # fmt: skip
-    add("--block", type=float, default=60.0, metavar="S", help="length of such blocks (default 60)")
+        help="error added to every guess (default none)")  # fmt: skip
     add("--seed", type=int, default=0, help="of revisits and disturbances (default 0)")
     add("--write", metavar="FILE.yaml",
-        help="write the best advice as an experiment, in a folder called experiment")  # fmt: skip
+        help="write the advice as an experiment, in a folder called experiment")  # fmt: skip
     add("--out", metavar="DIR", help="folder of the results (default results/calibrate/TIME)")
     add("--jobs", "-j", type=int, default=None, help="processes (default: all cores)")
     add("--config-dir", "-cd", action="append", default=[], metavar="DIR", help="more plug-ins")

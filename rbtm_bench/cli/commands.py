@@ -31,7 +31,7 @@ commands
   export    a run as csv, parquet, tum, g2o:  rbtm-bench export results/compare/NAME --to csv
   new       a plug-in of your own, begun:  rbtm-bench new selector NAME
   similarity scores of all pairs:  rbtm-bench similarity dataset.environment=l_turn --matrix
-  calibrate   error against similarity, the threshold to use:  rbtm-bench calibrate --success 0.95
+  calibrate   error against similarity, the setting to use:  rbtm-bench calibrate backend=plicp
   list      every plug-in, its parameters, and whether its library is installed
   doctor    check this installation and say what to do
 

@@ -97,6 +97,35 @@ def chained(model: Array, T_model_scan: Array, edge: Array) -> Array:
     return symmetric(A @ model @ A.T) + edge
 
 
+def tangent_error(T: Array, truth: Array) -> Array:
+    """The small motion d (6,) that takes an estimate T (4, 4) to the truth, T exp(d) = truth, in m
+    and rad of T's own frame.
+
+    Source: the logarithm of SE(3), by ``scipy.linalg.logm``.
+    """
+    from scipy.linalg import logm
+
+    D = np.real(logm(inverse(T) @ truth))
+    return np.array([D[0, 3], D[1, 3], D[2, 3], D[2, 1], D[0, 2], D[1, 0]])
+
+
+def nees(error: Array, information: Array, seen: Array) -> float:
+    """The normalised estimation error squared of an ``error`` (n,), within the subspace of the
+    columns of ``seen`` (n, k): chi-square of k degrees of freedom if ``information`` (n, n) is
+    honest.
+
+    What lies across the subspace may be as unsure as it says (Schur complement), also infinitely.
+
+    Source: Bar-Shalom, Li and Kirubarajan 2001, section 5.4.
+    """
+    basis = np.linalg.qr(seen, mode="complete")[0]
+    k = seen.shape[1]
+    M = symmetric(basis.T @ information @ basis)
+    within = M[:k, :k] - M[:k, k:] @ np.linalg.pinv(M[k:, k:], hermitian=True) @ M[k:, :k]
+    d = (basis.T @ error)[:k]
+    return float(d @ within @ d)
+
+
 def position_std(covariance: Array) -> float:
     """How far (m, root mean square) a position is off by a covariance (6, 6): the root of the
     trace of its part x, y, z, which is the same in every frame."""

@@ -74,6 +74,8 @@ class Dataset(ABC):
     has_beams: bool = False
     has_odometry: bool = False
     has_ground_truth: bool = False
+    truth_is_exact: bool = False
+    """True of simulations alone: poses of a log have errors of their own."""
     skipped: int = 0
     """Records that were malformed and left out (``on_error=skip``)."""
     scored_from: int = 0
@@ -114,6 +116,7 @@ ATTRIBUTES = (
     "has_beams",
     "has_odometry",
     "has_ground_truth",
+    "truth_is_exact",
     "skipped",
     "scored_from",
     "draw",

@@ -46,6 +46,7 @@ class Corridor(Dataset):
     has_beams = True
     has_odometry = True
     has_ground_truth = True
+    truth_is_exact = True
 
     def __init__(
         self,

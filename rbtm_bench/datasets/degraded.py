@@ -46,6 +46,7 @@ class Degradation:
     ``dropout`` and ``outliers``: shares of the returns that are lost, or come from anywhere
     along their ray; ``blocked``: share of the bearings (sectors of 2 deg) that nothing returns
     from, the whole drive long; ``movers``: upright cylinders that cross at a walk;
+    ``first_scan`` and ``end_scan``: the part of the drive from the one to before the other;
     ``every_scan`` and ``every_beam``: keep one in so many (clouds: of the rings);
     ``odometry_scale``: share that odometry is too long by; ``odometry_drift_deg``: that it turns
     left by on every metre (deg).
@@ -55,6 +56,8 @@ class Degradation:
     outliers: float = 0.0
     blocked: float = 0.0
     movers: int = 0
+    first_scan: int = 0
+    end_scan: int | None = None
     every_scan: int = 1
     every_beam: int = 1
     odometry_scale: float = 0.0
@@ -82,20 +85,22 @@ class Degraded(Dataset):
         for key in ("odometry_scale", "odometry_drift_deg"):
             if key in by.changed() and not plain.has_odometry:
                 raise ConfigError(f"perturb.{key}={by.changed()[key]:g}: the data have no odometry")
-        if by.every_scan > 1 and len(self) < 2:
-            raise ConfigError(f"perturb.every_scan={by.every_scan}: there are {len(plain)} scans")
-        self.scored_from = -(-plain.scored_from // by.every_scan)
+        if by.changed().keys() & {"first_scan", "end_scan", "every_scan"} and len(self) < 2:
+            words = ", ".join(f"perturb.{key}={value:g}" for key, value in by.changed().items())
+            raise ConfigError(f"{words}: there are {len(plain)} scans")
+        self.scored_from = -(-max(plain.scored_from - by.first_scan, 0) // by.every_scan)
         words = ", ".join(f"{key} {value:g}" for key, value in by.changed().items())
         self.readings = (*plain.readings, Reading("perturbed", words, "as asked for", "perturb."))
         self._pass = lru_cache(maxsize=2)(self._new_pass)
 
     def __len__(self) -> int:
-        return -(-len(self.plain) // self.by.every_scan)
+        end = len(self.plain) if self.by.end_scan is None else self.by.end_scan
+        return max(0, -(-(min(end, len(self.plain)) - self.by.first_scan) // self.by.every_scan))
 
     def __getitem__(self, index: int) -> Scan:
         if not 0 <= index < len(self):
             raise IndexError(f"scan {index} of {len(self)}")
-        at = index * self.by.every_scan
+        at = self.by.first_scan + index * self.by.every_scan
         scan = replace(self.plain[at], index=index)
         if self._odometry is not None:
             scan = replace(scan, odometry=self._odometry[at])

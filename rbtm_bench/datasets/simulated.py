@@ -74,6 +74,7 @@ class SimulatedPlace(Dataset):
 
     has_odometry = True
     has_ground_truth = True
+    truth_is_exact = True
 
     def __init__(
         self,

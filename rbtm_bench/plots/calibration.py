@@ -36,24 +36,22 @@ def figures(
     curves: pd.DataFrame,
     roc: pd.DataFrame,
     within: tuple[float, float],
-    stand_in: bool,
     data: str,
 ) -> list[tuple[str, Figure]]:
     """Every figure with its file's stem. ``pairs``: a row a pair and backend, backends one after
-    the other; ``scores`` (K,) by similarity, of the pairs; ``stand_in``: errors are no errors
-    against a truth, and called contradictions; ``data`` names the data in every title."""
+    the other; ``scores`` (K,) by similarity, of the pairs; ``data`` names the data in every
+    title."""
     drawn = []
-    what = "contradiction" if stand_in else "error"
     for name, values in scores.items():
         some = curves[(curves["similarity"] == name)]
         if some.empty:
             continue
-        drawn.append((f"error-{name}", _errors(pairs, name, values, some, within, what)))
-        drawn.append((f"success-{name}", _success(name, some, within, what)))
+        drawn.append((f"error-{name}", _errors(pairs, name, values, some, within)))
+        drawn.append((f"success-{name}", _success(name, some, within)))
     for kind in KINDS:
         some = roc[(roc["pairs"] == kind) & (roc["part"] == "all")]
         if some["auc"].notna().any():
-            drawn.append((f"roc_areas-{kind}", _areas(some, kind, within, what)))
+            drawn.append((f"roc_areas-{kind}", _areas(some, kind, within)))
     for _, figure in drawn:
         title = figure.get_suptitle().replace("\n", " ")
         width = figure.get_figwidth()
@@ -73,7 +71,6 @@ def _errors(
     scores: Array,
     curves: pd.DataFrame,
     within: tuple[float, float],
-    what: str,
 ) -> Figure:
     """Every pair across gaps, the median, and a band up to the 90% quantile; a panel a backend."""
     backends = list(dict.fromkeys(pairs["backend"]))
@@ -101,10 +98,10 @@ def _errors(
     for ax in axes[-1]:
         ax.set_xlabel(style.wrapped(f"similarity S ({name})", PANEL[0]))
     for ax in axes[:, 0]:
-        ax.set_ylabel(f"translation {what} (m)")
+        ax.set_ylabel("translation error (m)")
     for ax in list(axes.flat)[len(backends) :]:
         ax.set_axis_off()
-    title = f"Registration {what} against similarity, pairs across gaps"
+    title = "Registration error against similarity, pairs across gaps"
     figure.suptitle(title)
     handles: list[Any] = [
         Line2D([], [], ls="", marker=".", color="0.55", label="a pair"),
@@ -129,7 +126,7 @@ def _band(ax: Axes, bins: pd.DataFrame, lowest: float) -> None:
     ax.stairs(middle, edges, baseline=None, color=style.BLACK, lw=1.6, zorder=3)
 
 
-def _success(name: str, curves: pd.DataFrame, within: tuple[float, float], what: str) -> Figure:
+def _success(name: str, curves: pd.DataFrame, within: tuple[float, float]) -> Figure:
     """Success over similarity: of all gaps over the score, and at equal gap over the rank."""
     figure = Figure(figsize=(style.DOUBLE, 3.0))
     left, right = figure.subplots(1, 2, sharey=True)
@@ -155,8 +152,7 @@ def _success(name: str, curves: pd.DataFrame, within: tuple[float, float], what:
         ax.xaxis.set_major_formatter(PercentFormatter(1.0)) if ax is right else None
         ax.grid(color="0.9", lw=0.5)
         ax.set_axisbelow(True)
-    of = "Registrations" if what == "error" else "Registrations that do not contradict each other,"
-    title = f"{of} {_limit(within)}, pairs across gaps, with 95% intervals"
+    title = f"Registrations {_limit(within)}, pairs across gaps, with 95% intervals"
     figure.suptitle(title)
     style.legend_below(figure, handles, 4)
     return figure
@@ -177,7 +173,7 @@ def _bars(ax: Axes, bins: pd.DataFrame, look: Look, shift: float) -> None:
     )  # fmt: skip
 
 
-def _areas(roc: pd.DataFrame, kind: str, within: tuple[float, float], what: str) -> Figure:
+def _areas(roc: pd.DataFrame, kind: str, within: tuple[float, float]) -> Figure:
     """Areas with intervals, a line a predictor and a sign a backend; chance is drawn."""
     names: Sequence[str] = list(dict.fromkeys(roc["predictor"]))
     compared = list(dict.fromkeys(roc["compared"]))
@@ -208,8 +204,7 @@ def _areas(roc: pd.DataFrame, kind: str, within: tuple[float, float], what: str)
         for n, b in enumerate(backends)
     ]
     handles.append(Line2D([], [], color=GREY, lw=1.0, ls=(0, (1, 1.5)), label="chance"))
-    of = "success" if what == "error" else "agreement"
-    title = f"How well is {of} ({_limit(within)}) predicted? {KINDS[kind]}, 95% intervals"
+    title = f"How well is success ({_limit(within)}) predicted? {KINDS[kind]}, 95% intervals"
     figure.suptitle(title)
     style.legend_below(figure, handles, 4 if width > 5 else 2)
     return figure

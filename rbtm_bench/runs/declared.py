@@ -81,6 +81,8 @@ class Perturb(TypedDict):
     outliers: Annotated[float, Ge(0), Le(1)]
     blocked: Annotated[float, Ge(0), Lt(1)]
     movers: Annotated[int, Ge(0), Le(1000)]
+    first_scan: Annotated[int, Ge(0)]
+    end_scan: Annotated[int, Ge(1)] | None
     every_scan: Annotated[int, Ge(1)]
     every_beam: Annotated[int, Ge(1)]
     odometry_scale: Annotated[float, Gt(-1)]
@@ -95,6 +97,8 @@ PERTURB = Perturb(
     outliers=0.0,
     blocked=0.0,
     movers=0,
+    first_scan=0,
+    end_scan=None,
     every_scan=1,
     every_beam=1,
     odometry_scale=0.0,

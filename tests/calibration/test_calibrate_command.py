@@ -23,7 +23,7 @@ WORDS = [
     "--pairs=72",
     "--gaps=1,4,8",
     "--within=0.003,0.3",
-    "--success=0.6",
+    "--replicates=2",
 ]
 
 
@@ -47,7 +47,8 @@ def test_files(made: tuple[Path, str]) -> None:
     names = {p.name for p in out.iterdir()}
     assert {
         "report.txt", "summary.csv", "summary.md", "roc.csv", "curves.csv", "pairs.parquet",
-        "scores.parquet", "calibration.json", "roc_areas-gap.png", "roc_areas-gap.pdf",
+        "scores.parquet", "calibration.json", "gaps.csv", "trials.csv", "runs", "roc_areas-gap.png",
+        "roc_areas-gap.pdf",
         "error-overlap.png", "success-curvature_circular.pdf",
     } <= names  # fmt: skip
     assert not [n for n in names if "partial" in n]
@@ -62,9 +63,11 @@ def test_what_is_said(made: tuple[Path, str]) -> None:
     assert "within 0.003 m and 0.3 deg" in printed
     assert "guess      odometry between the two scans" in printed
     assert "pairs that cross the cut" in printed
-    assert "selector.threshold=" in printed and "ready to paste" in printed
-    pasted = printed.partition("ready to paste")[2].splitlines()[1]
-    assert pasted.endswith(" guess=odometry")  # what was calibrated, not the corridor's default
+    assert "final position error (mm): median [quartiles] worst" in printed
+    for backend in ("open3d_p2p", "none"):
+        assert f"{backend}: the advice beside the references on the reported part" in printed
+        assert f"  ADVICE for {backend}" in printed
+    assert "not called" in printed  # two replicates bear nothing
 
 
 def test_a_row_a_pair_and_backend(made: tuple[Path, str]) -> None:
@@ -98,23 +101,47 @@ def test_areas_are_those_of_the_pairs(made: tuple[Path, str]) -> None:
     assert (costs["score_us"] > 0).all() and (costs["describe_us"] > 0).all()
 
 
+def test_drift_is_predicted_and_what_was_run_is_a_row(made: tuple[Path, str]) -> None:
+    out, _ = made
+    gaps = pd.read_csv(out / "gaps.csv").set_index(["backend", "gap"])
+    assert gaps.loc["open3d_p2p"].index.tolist() == [1, 4, 8]
+    assert (gaps["drift_low_m"] <= gaps["drift_m"]).all() and gaps["unsure"].isna().all()
+    # point-to-point sticks: every small step is short, and many add up
+    assert gaps.loc[("open3d_p2p", 1), "mean_along_m"] < -1e-3
+    assert gaps.loc[("open3d_p2p", 1), "drift_m"] > 3 * gaps.loc[("open3d_p2p", 8), "drift_m"]
+    trials = pd.read_csv(out / "trials.csv")
+    shown = trials[trials["part"] == "reported"]
+    references = {"selector=previous", "selector=keyframe", "selector=rbtm"}
+    for _, rows in trials.groupby(["backend", "part"]):
+        assert references <= set(rows["words"]) and rows["advised"].sum() == 1
+    assert (shown.groupby("backend").size() <= 4).all()
+    assert (trials["q1"] <= trials["error"]).all() and (trials["replicates"] == 2).all()
+
+
+def test_parts_are_run_with_replicates(made: tuple[Path, str]) -> None:
+    out, _ = made
+    scans = {"calibration": (0, 46), "reported": (46, 91)}
+    for part, span in scans.items():
+        runs = sorted((out / "runs" / part).glob("0-open3d_p2p-previous-*"))
+        configs = [yaml.safe_load((run / "config.yaml").read_text()) for run in runs]
+        assert [c["replicate"] for c in configs] == [1, 2]
+        assert {(c["perturb"]["first_scan"], c["perturb"]["end_scan"]) for c in configs} == {span}
+
+
 def test_the_yaml_is_used(made: tuple[Path, str], tmp_path: Path) -> None:
     out, printed = made
     path = out.parent / "my" / "experiment" / "a.yaml"
-    advice = yaml.safe_load(path.read_text())
     assert f"--config-dir {Path('my')} +experiment=a" in printed
-    summary = pd.read_csv(out / "summary.csv").set_index("best").loc[True]
-    assert advice["selector"] == {
-        "threshold": summary["threshold"], "window": summary["window"],
-    }  # fmt: skip
     words = ["run", "--config-dir", str(path.parents[1]), "+experiment=a", "dataset.scans=12"]
     assert main([*words, f"out={tmp_path / 'run'}"]) == 0
     config = yaml.safe_load((tmp_path / "run" / "config.yaml").read_text())
-    assert config["selector"]["threshold"] == summary["threshold"]
-    assert config["selector"]["window"] == summary["window"]
     chosen = json.loads((tmp_path / "run" / "run.json").read_text())["choices"]
-    assert [chosen["backend"], chosen["similarity"]] == [summary["backend"], summary["similarity"]]
-    assert chosen["guess"] == "odometry"
+    advice = json.loads((out / "calibration.json").read_text())["advice"][chosen["backend"]]
+    trials = pd.read_csv(out / "trials.csv").query("part == 'reported'")
+    wanted = trials[trials["setting"] == advice["setting" if advice["kept"] else "instead"]]
+    assert f"selector={chosen['selector']}" in wanted["words"].iloc[0]
+    for key, value in yaml.safe_load(path.read_text()).get("selector", {}).items():
+        assert config["selector"][key] == value
 
 
 @pytest.mark.parametrize(
@@ -123,7 +150,9 @@ def test_the_yaml_is_used(made: tuple[Path, str], tmp_path: Path) -> None:
         (["--within=1"], "--within 1: expected two numbers"),
         (["--within=a,b"], "--within a,b: expected numbers with commas between"),
         (["--gaps=1,x"], "--gaps 1,x: expected whole numbers"),
-        (["--success=95"], "--success 95: expected a share between 0 and 1"),
+        (["--replicates=-1"], "--replicates -1: expected at least 0"),
+        (["selector.window=5"], "selector.window=5: a calibration chooses the selector itself"),
+        (["replicates=5"], "replicates=5: a calibration has --replicates N itself"),
         (["--jobs=0"], "--jobs 0: expected at least 1"),
         (["--write=a b.yaml"], "ending in .yaml"),
         (["--nix"], "--nix: no such option"),
@@ -157,5 +186,5 @@ def test_a_folder_that_holds_files_is_left_alone(
 def test_help_teaches(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["calibrate", "--help"]) == 0
     shown = capsys.readouterr().out
-    for word in ("--success", "--within", "--write", "+experiment=corridor", "relations"):
+    for word in ("--replicates", "--within", "--write", "+experiment=corridor", "relations"):
         assert word in shown

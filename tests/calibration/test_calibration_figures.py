@@ -43,12 +43,12 @@ def measured(score: float | None = None) -> Measured:
     )
 
 
-def figures(of: Measured, stand_in: bool) -> dict[str, Figure]:
+def figures(of: Measured) -> dict[str, Figure]:
     rows = [of.pairs.join(o).assign(backend=b) for b, o in of.outcomes.items()]
     with style.paper():
         drawn = calibration.figures(
             pd.concat(rows, ignore_index=True), of.scores, summary_rows(of), roc_rows(of),
-            (0.1, 2.0), stand_in, "a log",
+            (0.1, 2.0), "a log",
         )  # fmt: skip
         for _, figure in drawn:
             figure.draw_without_rendering()
@@ -56,7 +56,7 @@ def figures(of: Measured, stand_in: bool) -> dict[str, Figure]:
 
 
 def test_titles_and_panels() -> None:
-    drawn = figures(measured(), stand_in=False)
+    drawn = figures(measured())
     assert list(drawn) == ["error-mine", "success-mine", "roc_areas-gap", "roc_areas-revisit"]
     assert all(f.get_suptitle().startswith("a log\n") for f in drawn.values())
     error = drawn["error-mine"]
@@ -73,21 +73,14 @@ def test_a_perfect_score_has_area_one_and_a_line_from_0_to_1() -> None:
     roc = roc_rows(of).query("backend == 'one' and predictor == 'mine' and part == 'all'")
     np.testing.assert_allclose(roc["auc"], 1.0)
     assert "travelled_m" not in set(roc_rows(of)["predictor"])  # not known: left out
-    line = figures(of, False)["success-mine"].axes[0].lines[0]
+    line = figures(of)["success-mine"].axes[0].lines[0]
     assert line.get_ydata()[0] == 0.0 and line.get_ydata()[-1] == 1.0
-
-
-def test_a_stand_in_is_not_called_an_error() -> None:
-    drawn = figures(measured(), stand_in=True)
-    assert drawn["error-mine"].axes[0].get_ylabel() == "translation contradiction (m)"
-    assert "do not contradict each other" in drawn["success-mine"].get_suptitle()
-    assert "agreement" in drawn["roc_areas-gap"].get_suptitle()
 
 
 @pytest.mark.parametrize("score", [np.nan, 0.5])
 def test_scores_that_say_nothing_are_drawn(score: float) -> None:
     of = measured(score)
-    drawn = figures(of, stand_in=False)
+    drawn = figures(of)
     rows = roc_rows(of).query("predictor == 'mine'")
     np.testing.assert_allclose(rows["auc"], 0.5)
     assert "error-mine" in drawn

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import Rotation
 
 from rbtm_bench.calibration import measuring
 from rbtm_bench.calibration.plan import CalibrationPlan
 from rbtm_bench.calibration.sampling import draw
 from rbtm_bench.calibration.track import track_of
+from rbtm_bench.core.geometry import inverse, se2, se3
 from rbtm_bench.engine import drive
 from rbtm_bench.runs import settings
 from rbtm_bench.runs.assembly import build
@@ -44,11 +47,11 @@ def moody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 def test_failed_and_deadly_pairs_are_rows(moody: dict[str, Any]) -> None:
     composed = settings.compose_settings(["dataset.scans=30"])
-    data = composed.config["dataset"]
-    sample = draw(track_of(build(data)), CalibrationPlan(gaps=(1, 2), pairs=60))
+    data = measuring.data_node(composed.config)
+    sample = draw(track_of(measuring.opened(data)), CalibrationPlan(gaps=(1, 2), pairs=60))
     done: list[int] = []
     with drive.make_crew(1) as crew:
-        rows = measuring.register(crew, data, moody, sample, 0, True, done.append)
+        rows = measuring.register(crew, data, moody, sample, True, done.append)
     assert isinstance(rows, pd.DataFrame) and len(rows) == len(sample.rows) == sum(done)
     source = sample.rows["source"].to_numpy()
     assert set(rows["reason"][source == 7]) == {"not this one"}
@@ -61,10 +64,36 @@ def test_failed_and_deadly_pairs_are_rows(moody: dict[str, Any]) -> None:
     )
 
 
+def test_signed_errors_are_in_the_model_s_frame() -> None:
+    """A model that looks along y of the world: what is ahead of it is along."""
+    truth = se2(1.0, 0.2, 0.5)
+    off = se2(1.0 + 0.03, 0.2 - 0.01, 0.5 + math.radians(2.0))
+    along, cross, up, roll, pitch, heading = measuring.signed_errors(off, truth)
+    np.testing.assert_allclose([along, cross, heading], [0.03, -0.01, 2.0], atol=1e-12)
+    assert up == roll == pitch == 0.0
+    world = se2(5.0, -3.0, math.pi / 2)  # moves both, and the frame with them
+    E = inverse(world @ truth) @ (world @ off)
+    assert np.linalg.norm(E[:3, 3]) == pytest.approx(math.hypot(along, cross))
+    tilted = se3([0, 0, 0.1], Rotation.from_rotvec([0, 0.2, 0]).as_matrix())
+    np.testing.assert_allclose(
+        measuring.signed_errors(np.stack([tilted, np.eye(4)]), np.eye(4)[None].repeat(2, 0)),
+        [[0, 0, 0.1, 0, math.degrees(0.2), 0], np.zeros(6)], atol=1e-12,
+    )  # fmt: skip
+
+
+def test_a_failed_pair_has_the_guess_s_error(moody: dict[str, Any]) -> None:
+    data = measuring.data_node(settings.compose_settings(["dataset.scans=30"]).config)
+    sample = draw(track_of(measuring.opened(data)), CalibrationPlan(gaps=(1,), pairs=60))
+    with drive.make_crew(1) as crew:
+        rows = measuring.register(crew, data, moody, sample, True, lambda n: None)
+    expected = measuring.signed_errors(sample.guess, sample.truth)
+    np.testing.assert_allclose(rows[list(measuring.SIGNED)].to_numpy(), expected, atol=1e-12)
+
+
 def test_scores_are_those_of_single_calls() -> None:
     composed = settings.compose_settings(["dataset.scans=25", "similarity=overlap"])
-    data, node = composed.config["dataset"], composed.config["similarity"]
-    dataset, similarity = build(data), build(node)
+    data, node = measuring.data_node(composed.config), composed.config["similarity"]
+    dataset, similarity = measuring.opened(data), build(node)
     sample = draw(track_of(dataset), CalibrationPlan(gaps=(1, 3, 6), pairs=20))
     target, source = (sample.rows[c].to_numpy() for c in ("target", "source"))
     with drive.make_crew(1) as crew:
@@ -83,14 +112,15 @@ def test_scores_are_those_of_single_calls() -> None:
 
 def test_the_same_bits_with_one_process_and_with_two() -> None:
     composed = settings.compose_settings(["dataset.scans=60", "backend=open3d_p2plane"])
-    data, node = composed.config["dataset"], composed.config["backend"]
+    data, node = measuring.data_node(composed.config), composed.config["backend"]
     sample = draw(
-        track_of(build(data)), CalibrationPlan(gaps=(1, 6), pairs=40, disturb=(0.05, 2.0))
+        track_of(measuring.opened(data)),
+        CalibrationPlan(gaps=(1, 6), pairs=40, disturb=(0.05, 2.0)),
     )
     several = []
     for jobs in (1, 2):
         with drive.make_crew(jobs) as crew:
-            rows = measuring.register(crew, data, node, sample, 0, True, lambda n: None)
+            rows = measuring.register(crew, data, node, sample, True, lambda n: None)
         several.append(rows.drop(columns="seconds"))
     pd.testing.assert_frame_equal(*several, check_exact=True)
     assert several[0]["error_m"].nunique() > 60

@@ -14,10 +14,10 @@ from rbtm_bench.calibration.parts import (
     clusters_of,
     evenly,
     parts_of,
-    stretches,
+    span_of,
 )
 from rbtm_bench.calibration.plan import CalibrationPlan
-from rbtm_bench.calibration.reference import known_motions
+from rbtm_bench.calibration.reference import known_motions, of_wheels
 from rbtm_bench.calibration.sampling import GAP, REVISIT, Sample, draw
 from rbtm_bench.calibration.track import Track
 from rbtm_bench.core.errors import ConfigError, DataError
@@ -41,24 +41,19 @@ def scans_of(sample: Sample, part: str) -> set[int]:
     return set(rows["target"]) | set(rows["source"])
 
 
-@pytest.mark.parametrize("split", ["time", "blocks"])
-def test_the_parts_share_no_scan(split: str) -> None:
-    sample = draw(track(), CalibrationPlan(split=split, block_s=25.0, gaps=(1, 5, 10)))
+def test_the_parts_share_no_scan_and_can_be_run() -> None:
+    sample = draw(track(), CalibrationPlan(gaps=(1, 5, 10)))
     assert scans_of(sample, CALIBRATION).isdisjoint(scans_of(sample, REPORTED))
     assert {CALIBRATION, REPORTED} == set(sample.rows["part"])
-
-
-def test_the_cut_is_in_time_whatever_the_order_of_the_scans() -> None:
-    shuffled = replace(track(), stamps=np.random.default_rng(0).permutation(100).astype(float))
-    part = parts_of(shuffled.stamps, np.ones(100, bool), CalibrationPlan())
-    assert (part == (shuffled.stamps >= 50)).all()
+    assert [span_of(sample.part, number) for number in (0, 1)] == [(0, 50), (50, 100)]
 
 
 def test_scans_without_a_true_pose_are_of_no_part() -> None:
     poses = line(20)
     poses[:14] = np.nan
-    part = parts_of(np.arange(20.0), track(poses).known, CalibrationPlan())
+    part = parts_of(track(poses).known)
     assert part.tolist() == [-1] * 14 + [0, 0, 0, 1, 1, 1]
+    assert span_of(part, 0) == (14, 17)
     sample = draw(track(poses), CalibrationPlan())
     assert sample.rows["target"].min() == 14
     assert np.isfinite(sample.truth).all()
@@ -133,24 +128,16 @@ def test_disturbances_have_their_size_in_space_too() -> None:
     assert (off[:, 2, 3] != 0).all()
 
 
-def test_without_truth_every_guess_is_wrong_and_a_scan_lies_between() -> None:
-    sample = draw(replace(track(odometry=line()), truth=None), CalibrationPlan(gaps=(1, 4)))
-    assert sample.truth is None and sample.conditions["truth"] == "none"
-    assert sample.conditions["disturbed"] == "0.2 m and 5 deg"
-    gap4 = (sample.rows["gap"] == 4).to_numpy()
-    np.testing.assert_array_equal(sample.middle[gap4], sample.rows["target"][gap4] + 2)
-    assert (sample.middle[~gap4] == -1).all()
-    np.testing.assert_allclose(translation_norm(sample.over_middle[gap4]), 0.2)
-    assert (sample.rows["kind"] == GAP).all()
+def test_without_truth_there_is_nothing_to_calibrate_by() -> None:
+    with pytest.raises(DataError, match="needs true poses or relations"):
+        draw(replace(track(odometry=line()), truth=None), CalibrationPlan())
 
 
 @pytest.mark.parametrize(
     ("plan", "message"),
     [
-        (CalibrationPlan(truth="relations"), "no relations; it has poses, none"),
+        (CalibrationPlan(truth="relations"), "no relations; it has poses"),
         (CalibrationPlan(guess="odometry"), "this data set has no odometry"),
-        (CalibrationPlan(truth="none", guess="truth"), "no truth is known"),
-        (CalibrationPlan(truth="none", guess="constant_velocity"), "needs a true pose a scan"),
     ],
 )
 def test_what_a_data_set_cannot_give(plan: CalibrationPlan, message: str) -> None:
@@ -164,12 +151,10 @@ def test_what_a_data_set_cannot_give(plan: CalibrationPlan, message: str) -> Non
         ({"gaps": (0,)}, "--gaps"),
         ({"gaps": ()}, "--gaps"),
         ({"pairs": 1}, "--pairs 1: expected at least 2"),
-        ({"success": 1.0}, "--success 1: expected a share between 0 and 1"),
+        ({"replicates": -1}, "--replicates -1: expected at least 0"),
         ({"within": (0.0, 1.0)}, "--within"),
         ({"within": (float("nan"), 1.0)}, "--within"),
         ({"disturb": (-1.0, 0.0)}, "--disturb"),
-        ({"split": "half"}, "--split half: expected one of time, blocks"),
-        ({"block_s": 0.0}, "--block 0"),
     ],
 )
 def test_options_out_of_range(options: dict, message: str) -> None:
@@ -205,7 +190,7 @@ def test_relations_backwards_and_of_no_scan() -> None:
 
 def test_relations_that_cross_the_cut_are_of_no_part() -> None:
     given = relations([*((i, i + 2) for i in range(0, 98, 2)), (1, 45), (51, 97), (10, 90)])
-    long_track = replace(track(odometry=line()), truth=None, relations=given)
+    long_track = replace(track(odometry=line(step=0.11)), truth=None, relations=given)
     sample = draw(long_track, CalibrationPlan(chain=2))
     assert sample.conditions["truth"] == "relations"
     assert sample.counts["relations that cross the cut"] == 2  # 48 to 50, 10 to 90
@@ -215,29 +200,22 @@ def test_relations_that_cross_the_cut_are_of_no_part() -> None:
     assert sorted(set(sample.windows["group"])) == [2, 4]
 
 
-def test_a_local_relation_does_not_span_a_block_of_the_other_part() -> None:
-    # blocks of 2 s, a scan a second: 0 and 1 calibrate, 2 and 3 report, 4 and 5 calibrate, ...
-    over = [(i, i + 4) for i in range(0, 96, 4)]  # ends of one part, the other's block between
-    inside = [(i, i + 1) for i in range(0, 98, 2)]
-    given = relations([*over, *inside])
-    log = replace(track(odometry=line()), truth=None, relations=given)
-    sample = draw(log, CalibrationPlan(split="blocks", block_s=2.0))
-    assert sample.counts["relations that cross the cut"] == len(over)
-    rows = sample.rows
-    assert len(rows) > 0 and (rows["source"] - rows["target"] == 1).all()
-
-
-def test_stretches_count_the_changes_of_part() -> None:
-    part = np.array([-1, 0, 0, 1, -1, 1, 0, 0])
-    assert stretches(part, np.arange(8.0)).tolist() == [0, 0, 0, 1, 0, 1, 2, 2]
-    assert stretches(np.array([-1, -1]), np.arange(2.0)).tolist() == [0, 0]
-    # a log whose stamps step back has two stretches in time, whatever the order of its lines
-    assert stretches(np.array([0, 1, 0, 1]), np.array([0.0, 2.0, 1.0, 3.0])).tolist() == [
-        0,
-        1,
-        0,
-        1,
-    ]
+def test_relations_that_are_the_wheels_motion_choose_nothing() -> None:
+    """Those within a millimetre of odometry, which is 2 mm a scan too long; not long ones."""
+    log = replace(track(odometry=line(step=0.102)), truth=None)
+    copied = relations([(4, 8), (60, 63)], step=0.102)
+    given = relations([(0, 3), (10, 12), (4, 8), (60, 63), (1, 90)])
+    T = given.T_start_end.copy()
+    T[2:4] = copied.T_start_end
+    T[4] = se2(0.102 * 89, 0.0, 0.0)
+    given = Relations(given.start, given.end, T)
+    assert of_wheels(log, given).tolist() == [False, False, True, True, False]
+    known = known_motions(log, given, chain=1)
+    assert known.of_wheels == 2 and known.target.tolist() == [0, 1, 10]
+    sample = draw(replace(log, relations=given), CalibrationPlan(chain=1))
+    assert sample.counts["local relations that are the wheels' motion, left out"] == 2
+    assert sample.of_wheels is not None and sample.of_wheels.sum() == 2
+    assert not of_wheels(replace(log, odometry=None), given).any()
 
 
 def test_what_is_resampled_together() -> None:

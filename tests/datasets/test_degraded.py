@@ -47,6 +47,8 @@ def changes() -> st.SearchStrategy[dict[str, Any]]:
             "outliers": shares,
             "blocked": shares,
             "movers": st.integers(0, 4),
+            "first_scan": st.integers(0, 1),
+            "end_scan": st.integers(5, 99),
             "every_scan": st.integers(1, 3),
             "every_beam": st.integers(1, 4),
             "odometry_scale": st.floats(-0.5, 0.5),
@@ -62,7 +64,7 @@ def test_whatever_is_done_scans_fit_together(plain: Dataset, by: dict[str, Any],
     one, again = made(plain, seed, **by), made(plain, seed, **by)
     assert one.fingerprint() == again.fingerprint()
     for index in (len(one) - 1, 0):
-        scan, was = one[index], plain[index * by.get("every_scan", 1)]
+        scan, was = one[index], plain[by.get("first_scan", 0) + index * by.get("every_scan", 1)]
         assert same(scan, again[index]) and scan.index == index and scan.stamp == was.stamp
         assert scan.ground_truth is not None and was.ground_truth is not None
         assert np.array_equal(scan.ground_truth, was.ground_truth)
@@ -243,6 +245,8 @@ def test_what_cannot_be_done() -> None:
         made(Blind(scans=5, beams=61), odometry_scale=0.1)
     with pytest.raises(ConfigError, match=r"perturb.every_scan=99: there are 61 scans"):
         made(PLANE, every_scan=99)
+    with pytest.raises(ConfigError, match=r"perturb.first_scan=60, perturb.end_scan=70: there are"):
+        made(PLANE, first_scan=60, end_scan=70)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from sweep_helpers import script
 
@@ -39,3 +40,28 @@ def test_the_sweep_s_two_sides_agree_and_one_shares(tmp_path: Path, guess: str) 
     alone = bench.measure(bench.plain(points))
     assert shared.digest == alone.digest and shared.asked == alone.asked >= 3 * (SCANS - 1)
     assert alone.reused == 0 and shared.reused >= 2 * (SCANS - 1)
+
+
+def test_nees_against_chi_square() -> None:
+    """Two registrations of 3 and 2 degrees of freedom: (4.5 + 5.5) / 5, of which one is inside."""
+    bench = script("bench_nees")
+    made = bench.consistency([4.5, 7.0], [3, 2])
+    assert made.ratio == pytest.approx(11.5 / 5) and made.inside == 0.5
+    assert (made.low, made.high) == pytest.approx((0.1662, 2.5665), abs=1e-3)  # chi2 of 5, over 5
+
+
+def test_nees_of_a_place(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--draws", "1", "--places", "bare", "--backends", "plicp,none", "--out", str(tmp_path)]
+    assert script("bench_nees").main(words) == 0
+    table = pd.read_csv(tmp_path / "nees.csv")
+    assert table["covariance"].tolist()[:2] == ["own", "localizability"]
+    assert set(table["backend"]) == {"plicp"} and (table["freedom"] == 2).all()  # not the axis
+    assert (tmp_path / "nees.md").read_text().strip() == capsys.readouterr().out.strip()
+
+
+def test_the_knee_s_power(capsys: pytest.CaptureFixture[str]) -> None:
+    bench = script("bench_knee")
+    assert bench.main(["--experiments", "2", "--pairs", "400"]) == 0
+    assert capsys.readouterr().out.count("400") == len(bench.SHAPES)
+    s = np.array([0.2, 0.8])
+    assert bench.level("threefold", s).tolist() == pytest.approx([np.log10(3.0), 0.0])

@@ -165,7 +165,8 @@ def test_a_documented_command_works(command: str, folder: Path, tmp_path: Path) 
         words += SMALL[kind] if name != "calibrate" else ()
         words += [f"out={tmp_path / 'out'}"] if name in RUNS else ["--out", str(tmp_path / "out")]
     if name == "calibrate":
-        words += ["--jobs", "1", "--pairs", "40"] if "--pairs" not in words else []
+        words += ["--jobs", "1", "--replicates", "1"]
+        words += ["--pairs", "40"] if "--pairs" not in words else []
         words = [w for w in words if w != "--write" and not w.startswith("mine/")]
     code, out, error = call(name, *words, cwd=folder)
     assert code == (1 if name == "diff" else 0), error  # diff: they differ
