@@ -20,6 +20,7 @@ COMMANDS = (
     "new",
     "similarity",
     "calibrate",
+    "study",
     "data",
     "download",
     "list",

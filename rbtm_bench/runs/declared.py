@@ -83,7 +83,7 @@ class Perturb(TypedDict):
     movers: Annotated[int, Ge(0), Le(1000)]
     every_scan: Annotated[int, Ge(1)]
     every_beam: Annotated[int, Ge(1)]
-    odometry_scale: Annotated[float, Gt(-1)]
+    odometry_scale: Annotated[float, Ge(-1)]
     odometry_drift_deg: float
 
 
