@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 
 from rbtm_bench.core.columns import KNOWN
@@ -188,7 +189,8 @@ def regime(outcome: Outcome, ours: str, other: str) -> Figure:
             ratio = one.ours / one.theirs
             shade = MAP(norm(np.clip(np.log2(ratio), -MOST, MOST))) if one.holds else UNDECIDED
             ax = line[at[2] if third else 0]
-            ax.add_patch(_cell(at[0], at[1], shade))
+            corner = (at[0] - 0.5, at[1] - 0.5)
+            ax.add_patch(Rectangle(corner, 1, 1, fc=shade, ec="w", lw=1.0))
             words = "=" if one.equal else f"{ratio:.2g}"
             ax.text(at[0], at[1], words, ha="center", va="center", fontsize=6.5)
         for k, ax in zip(depth, line, strict=True):
@@ -206,9 +208,3 @@ def regime(outcome: Outcome, ours: str, other: str) -> Figure:
         "=: the same by construction"
     )
     return figure
-
-
-def _cell(x: float, y: float, shade: object) -> object:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((x - 0.5, y - 0.5), 1, 1, fc=shade, ec="w", lw=1.0)

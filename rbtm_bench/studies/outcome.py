@@ -21,7 +21,7 @@ from rbtm_bench.report.frame import MethodRuns
 from rbtm_bench.report.margin import DEFAULT
 from rbtm_bench.runs.stored import Run, is_number, read_run
 from rbtm_bench.studies.plan import Draw, Method, Plan
-from rbtm_bench.studies.study_file import NOWHERE, OTHERS
+from rbtm_bench.studies.study_file import OTHERS
 
 LEAST = 1e-9
 """Errors below count as this much, so that a logarithm exists."""
@@ -80,8 +80,7 @@ class Outcome:
 
     def tries(self, method: Method) -> int:
         """How many tries a method had."""
-        one = self.plan.study.ways[method.way]
-        return len(self.plan.study.tries(self.plan.study.ways[one.like] if one.like else one))
+        return len(self.plan.study.tries(self.plan.study.ways[method.way]))
 
     def values(self, method: Method, k: int) -> dict[Draw, float]:
         """The errors of a try on the draws that are shown."""
@@ -112,18 +111,14 @@ class Outcome:
             way = self.plan.study.ways[method.way]
             is_test = way.like is not None and way.selector == "shifted_gap"
             of = method._replace(way=str(way.like)) if is_test else method
-            tried = self.tries(method)
-            out[method] = Chosen(
-                self.choice(of),
-                tried,
-                tuple(self.value(method, k) for k in range(tried)),
-            )
+            values = tuple(self.value(method, k) for k in range(self.tries(method)))
+            out[method] = Chosen(self.choice(of), len(values), values)
         return out
 
     def choice(self, method: Method) -> int:
         """The number of the try that did best on the choosing data."""
         study, tried = self.plan.study, self.tries(method)
-        if tried == 1 or study.chosen_on == NOWHERE:
+        if tried == 1:
             return 0
         cells = {label: (name, at) for label, name, at, _ in study.cells()}
         name, at = cells[method.data]
@@ -179,23 +174,17 @@ class Outcome:
         sets. None without any."""
         places: dict[str, list[Array]] = {}
         equal = cells = 0
-        for label, _, _, _ in self.plan.study.cells():
-            per_backend = []
-            for method in self.plan.methods(ours):
-                if method.data != label:
-                    continue
-                logs = self._log_ratios(method, method._replace(way=other))
-                per_backend.append(logs)
-                cells += 1
-                equal += bool(len(logs)) and not np.nan_to_num(logs).any()
-            matrix = np.stack(per_backend)
-            known = ~np.isnan(matrix).all(axis=0)
-            if known.any():
-                places[label] = [np.nanmean(matrix[:, known], axis=0)]
-        if not places:
+        for method in self.plan.methods(ours):
+            logs = self._log_ratios(method, method._replace(way=other))
+            places.setdefault(method.data, []).append(logs)
+            cells += 1
+            equal += not np.nan_to_num(logs).any() and not np.isnan(logs).all()
+        matrices = [np.stack(of_backends) for of_backends in places.values()]
+        known = [m[:, ~np.isnan(m).all(axis=0)] for m in matrices]
+        per_place = [np.nanmean(m, axis=0) for m in known if m.size]
+        if not per_place:
             return None
         rng = np.random.default_rng(intervals.SEED)
-        per_place = [draws[0] for draws in places.values()]
         means = np.array([draws.mean() for draws in per_place])
         resampled = [d[rng.integers(0, len(d), (intervals.RESAMPLES, len(d)))] for d in per_place]
         of_draws = np.mean([r.mean(axis=1) for r in resampled], axis=0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from rbtm_bench.report.render import render, three_digits
 from rbtm_bench.studies import figures
 from rbtm_bench.studies.outcome import Outcome
 from rbtm_bench.studies.plan import Method
-from rbtm_bench.studies.study_file import NOWHERE, OTHERS, Study
+from rbtm_bench.studies.study_file import Study
 
 PAGE = "README.md"
 TABLES = ("table.csv", "ratios.csv")
@@ -53,11 +53,7 @@ def write(outcome: Outcome, command: Sequence[str], seconds: float, out: Path) -
         failed=len(outcome.failed),
         minutes=three_digits(seconds / 60),
         versions=", ".join(f"{k} {v}" for k, v in sweep_folder.versions().items() if v),
-        unit_title=_unit_title(study),
-        draws=_draws(study),
-        choice=_choice(study),
-        family=_family(study),
-        axes="; ".join(f"{name} ({a.key}) {a.values}" for name, a in study.axes.items()),
+        column=KNOWN[study.metric],
         tables=_tables(outcome, table),
         ratios={ours: _md(_ratio_table(outcome, ours)) for ours in study.ours},
         figures={file.name: _caption(file.stem) for file in drawn},
@@ -109,33 +105,26 @@ def all_ratios(outcome: Outcome) -> pd.DataFrame:
 
 def _tables(outcome: Outcome, table: pd.DataFrame) -> dict[str, str]:
     study = outcome.plan.study
-    data = [
-        {"data": n, "status": d.status, "overrides": f"`{' '.join(d.words)}`"}
-        for n, d in study.data.items()
-    ]
-    marks = {name: _mark(study) for name in study.ways}
-    cells = table.assign(cell=[_error(row) for _, row in table.iterrows()])
-    told = {
-        "data": _md(pd.DataFrame(data)),
+    rows = [(name, d.status, f"`{' '.join(d.words)}`") for name, d in study.data.items()]
+    tests = [name for name, way in study.ways.items() if way.selector == "shifted_gap"]
+    choices = table[(table["tries"] > 1) & ~table["way"].isin(tests)]
+    return {
+        "data": _md(pd.DataFrame(rows, columns=["data", "status", "overrides"])),
         "ways": _md(_ways(outcome)),
-        "errors": _md(_wide(cells, marks)),
-        "regret": "",
+        "errors": _md(_wide(table, _error, _mark(study))),
+        "regret": _md(_wide(choices, _regret, "tuned")) if len(choices) else "",
         "pooled": _md(_pooled(outcome)),
     }
-    if (table["tries"] > 1).any():
-        regrets = cells.assign(cell=[_regret(row) for _, row in table.iterrows()])
-        regrets = regrets[regrets["tries"] > 1]
-        told["regret"] = _md(_wide(regrets, dict.fromkeys(study.ways, "tuned")))
-    return told
 
 
-def _wide(table: pd.DataFrame, marks: Mapping[str, str]) -> pd.DataFrame:
-    """Rows data and backend, columns ways with their marks."""
+def _wide(table: pd.DataFrame, cell: Callable[[Any], str], mark: str) -> pd.DataFrame:
+    """Rows data and backend, columns ways, which have all the same mark."""
     order = list(dict.fromkeys(table["way"]))
-    wide = table.pivot_table(
+    words = table.assign(cell=[cell(row) for _, row in table.iterrows()])
+    wide = words.pivot_table(
         index=["data", "backend"], columns="way", values="cell", aggfunc="first", sort=False
     )[order]
-    return wide.rename(columns={way: f"{way} ({marks[way]})" for way in order}).reset_index()
+    return wide.rename(columns={way: f"{way} ({mark})" for way in order}).reset_index()
 
 
 def _mark(study: Study) -> str:
@@ -160,8 +149,7 @@ def _regret(row: Any) -> str:
 
 def _setting(study: Study, method: Method, k: int) -> str:
     """The try in words: "0.5, 0.8" in the order of the keys."""
-    way = study.ways[method.way]
-    values = study.tries(study.ways[way.like] if way.like else way)[k].values()
+    values = study.tries(study.ways[method.way])[k].values()
     return ", ".join(f"{v:g}" if isinstance(v, int | float) else str(v) for v in values)
 
 
@@ -174,38 +162,23 @@ def _ways(outcome: Outcome) -> pd.DataFrame:
             for k in range(outcome.tries(method))
             if (gap := outcome.mean_gap(method, k)) == gap
         ]
-        what = f"`{' '.join(way.words)}`" if not way.like else f"{way.selector} like {way.like}"
-        keys = {study.tuned.key: study.tuned.values} if study.tuned and not way.reference else {}
-        keys |= {way.key: way.values or []} if way.key else {}
-        tried = "; ".join(
-            f"{key.rpartition('.')[2]} {', '.join(map(str, v))}" for key, v in keys.items()
-        )
-        tried = "those of that way" if way.like else tried
-        count = len(study.tries(study.ways[way.like] if way.like else way))
+        knobs = {key.rpartition(".")[2]: values for key, values in study.knobs(way).items()}
+        lists = [f"{key} {', '.join(map(str, values))}" for key, values in knobs.items()]
+        row = {"way": name, "what": f"`{' '.join(way.words)}`", "tried": "; ".join(lists)}
+        if way.like:
+            row |= {"what": f"{way.selector} like {way.like}", "tried": "those of that way"}
         spans = f"{min(gaps):.3g} - {max(gaps):.3g}" if gaps else ""
-        rows.append(
-            {
-                "way": name,
-                "what": what,
-                "tried": tried,
-                "tries": count,
-                "mean gaps (seen)": spans,
-                "": way.note,
-            }
-        )
+        tries = len(study.tries(way))
+        rows.append({**row, "tries": tries, "mean gaps (seen)": spans, "note": way.note})
     return pd.DataFrame(rows)
 
 
 def _ratio_table(outcome: Outcome, ours: str) -> pd.DataFrame:
     told = outcome.comparisons(ours)
-    rows = [
-        {"data": m.data, "backend": m.backend, "way": other, "cell": _ratio(one)}
-        for (m, other), one in told.items()
-    ]
-    if not rows:
-        return pd.DataFrame()
-    return _wide(
-        pd.DataFrame(rows), dict.fromkeys(outcome.plan.study.ways, _mark(outcome.plan.study))
+    rows = [{**method._asdict(), "way": other, "of": one} for (method, other), one in told.items()]
+    mark = _mark(outcome.plan.study)
+    return (
+        _wide(pd.DataFrame(rows), lambda row: _ratio(row["of"]), mark) if rows else pd.DataFrame()
     )
 
 
@@ -236,33 +209,6 @@ def _pooled(outcome: Outcome) -> pd.DataFrame:
 
 def _ends(ends: tuple[float, ...] | None) -> str:
     return f"[{', '.join(map(three_digits, ends))}]" if ends else "none"
-
-
-def _unit_title(study: Study) -> str:
-    column = KNOWN[study.metric]
-    return f"{column.title or study.metric}{f' ({column.unit})' if column.unit else ''}"
-
-
-def _draws(study: Study) -> str:
-    if study.shown is not None:
-        return f"{len(study.shown)} seeds"
-    return f"{study.replicates} replicates (perturbed copies of the log)"
-
-
-def _choice(study: Study) -> str:
-    if study.chosen_on == NOWHERE:
-        return "Nothing was chosen: every way has the one setting that the file names."
-    on = "the other data sets" if study.chosen_on == OTHERS else f"seeds {study.chosen_on}"
-    return (
-        f"Every way has the same number of tries, of which {on} chose (least mean logarithm of the "
-        "median error; a try with a failed run only where all have one)."
-    )
-
-
-def _family(study: Study) -> str:
-    if study.axes:
-        return "Holm over all cells with a backend, for each pair of ways"
-    return "Holm over the other ways on a data set with a backend"
 
 
 def _caption(stem: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,7 +12,7 @@ from rbtm_bench.core.errors import ConfigError, DataError
 from rbtm_bench.core.wording import shown
 from rbtm_bench.runs import controls
 from rbtm_bench.runs.grid import Point, make_points
-from rbtm_bench.runs.settings import Settings
+from rbtm_bench.runs.settings import Settings, check, parsed
 from rbtm_bench.runs.stored import Run, read_run
 from rbtm_bench.studies.study_file import Study
 
@@ -50,11 +51,19 @@ class Plan:
     def of(cls, study: Study) -> Plan:
         """Compose everything. Raises ``ConfigError`` for a setting that does not exist."""
         plan = cls(study, {}, {}, {})
+        composed: dict[Any, dict[str, list[Settings]]] = {}
         for data, _, _, words in study.cells():
             for backend in study.backends:
-                for way, tries in _composed(study, backend, words).items():
+                # cells that differ in numbers of the data set alone are composed once
+                like = (
+                    backend,
+                    *(w.partition("=")[0] if "." in w.partition("=")[0] else w for w in words),
+                )
+                if like not in composed:
+                    composed[like] = _composed(study, backend, words)
+                for way, tries in composed[like].items():
                     for k, settings in enumerate(tries):
-                        plan.known[Method(data, backend, way), k] = settings
+                        plan.known[Method(data, backend, way), k] = _moved(settings, words)
         for (method, k), settings in plan.known.items():
             for draw in plan.draws:
                 plan._add(method, k, draw, _drawn(settings, draw))
@@ -128,9 +137,7 @@ class Plan:
 def _composed(study: Study, backend: str, data: list[str]) -> dict[str, list[Settings]]:
     """Of every way that needs no other run the settings of its tries."""
     ways = {}
-    for name, way in study.ways.items():
-        if way.like is not None:
-            continue
+    for name, way in ((n, w) for n, w in study.ways.items() if w.like is None):
         tries = study.tries(way)
         lists = {key: ",".join(shown(one[key]) for one in tries) for key in tries[0]}
         lists = {k: ",".join(dict.fromkeys(v.split(","))) for k, v in lists.items()}
@@ -144,6 +151,22 @@ def _composed(study: Study, backend: str, data: list[str]) -> dict[str, list[Set
             )
         ways[name] = [point.settings for point in points]
     return ways
+
+
+def _moved(settings: Settings, words: list[str]) -> Settings:
+    """The settings with other values of the data set's keys. Raises ``ConfigError``."""
+    config = copy.deepcopy(settings.config)
+    keyed = {o.key_or_group: o for o in parsed(words) if "." in o.key_or_group}
+    for key, override in keyed.items():
+        *parents, last = key.split(".")
+        node = config
+        for parent in parents:
+            node = node[parent]
+        node[last] = override.value()
+    check(config)
+    others = [word for word in settings.overrides if word.partition("=")[0] not in keyed]
+    values = [f"{key}={shown(override.value())}" for key, override in keyed.items()]
+    return replace(settings, config=config, overrides=(*others, *values))
 
 
 def _drawn(settings: Settings, draw: Draw) -> Settings:

@@ -89,11 +89,15 @@ class Study(_Part):
     replicates: Annotated[int, Ge(1)] | None = None
     quick: Annotated[dict[str, Any], Field(default_factory=dict)]
 
+    def knobs(self, way: Way) -> dict[str, list[float | int | str]]:
+        """What a way tunes (or the one that it is like), and the values."""
+        way = self.ways[way.like] if way.like else way
+        shared = {self.tuned.key: self.tuned.values} if self.tuned and not way.reference else {}
+        return shared | ({way.key: way.values or []} if way.key else {})
+
     def tries(self, way: Way) -> list[dict[str, Any]]:
         """The settings of each try: every value of ``tuned`` with every value of its own."""
-        knobs = {self.tuned.key: self.tuned.values} if self.tuned and not way.reference else {}
-        if way.key:
-            knobs[way.key] = way.values or []
+        knobs = self.knobs(way)
         return [dict(zip(knobs, v, strict=True)) for v in itertools.product(*knobs.values())]
 
     def cells(self) -> Iterator[tuple[str, str, tuple[int, ...], list[str]]]:
@@ -103,12 +107,8 @@ class Study(_Part):
             for at in itertools.product(*(range(len(a.values)) for a in self.axes.values())):
                 axes = list(zip(self.axes.items(), at, strict=True))
                 label = " ".join([name, *(f"{key}={axis.label(k)}" for (key, axis), k in axes)])
-                yield (
-                    label,
-                    name,
-                    at,
-                    [*data.words, *(f"{a.key}={a.values[k]}" for (_, a), k in axes)],
-                )
+                words = [f"{axis.key}={axis.values[k]}" for (_, axis), k in axes]
+                yield label, name, at, [*data.words, *words]
 
 
 def load(name: str, quick: bool, words: list[str]) -> Study:

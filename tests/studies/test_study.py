@@ -16,9 +16,10 @@ import yaml
 from sweep_helpers import TESTS, call
 
 from rbtm_bench.core.errors import ConfigError
+from rbtm_bench.runs.settings import compose_settings
 from rbtm_bench.runs.stored import read_run
 from rbtm_bench.studies import outcome, study_file
-from rbtm_bench.studies.plan import Draw, Plan
+from rbtm_bench.studies.plan import ALWAYS, Draw, Method, Plan
 
 PAGE = TESTS.parent / "docs" / "studies.md"
 SMALL = {
@@ -182,8 +183,10 @@ def test_a_way_with_other_tries_is_refused(
 
 
 def test_tries_that_a_backend_cannot_tell_apart_are_refused(tmp_path: Path) -> None:
-    ways = {"one": {"words": "backend=none selector=previous"}}
-    study = study_file.load(changed(tmp_path, ways=ways, ours=["one"]), False, [])
+    ways = {"one": {"words": "selector=previous"}}
+    tuned = {"key": "registration.max_correspondence_distance", "values": [0.1, 0.1]}
+    file = changed(tmp_path, ways=ways, ours=["one"], tuned=tuned)
+    study = study_file.load(file, False, [])
     with pytest.raises(ConfigError, match=r"ways.one: 2 tries, of which 1 differ"):
         Plan.of(study)
 
@@ -245,6 +248,18 @@ def test_pooled_ratios_weigh_data_sets_alike_and_say_what_is_1_by_construction(
     assert pooled.places is not None and pooled.places[0] == pytest.approx(0.5)
     assert pooled.places[1] == pytest.approx(4.0)
     assert pooled.draws is None  # two draws of c are too few
+
+
+def test_cells_are_the_settings_that_composing_them_gives(tmp_path: Path) -> None:
+    axes = {"noise": {"key": "dataset.range_noise", "values": [0.0, 0.1]}}
+    study = study_file.load(changed(tmp_path, axes=axes), False, [])
+    plan = Plan.of(study)
+    for label, _, _, words in study.cells():
+        settings = plan.known[Method(label, "open3d_p2p", "previous"), 2]
+        own = "registration.max_correspondence_distance=0.3 selector=previous backend=open3d_p2p"
+        composed = compose_settings([*ALWAYS, *study.words, *words, *own.split()])
+        assert settings.identity == composed.identity
+        assert settings.config == composed.config
 
 
 def test_an_unknown_study_says_which_is_close() -> None:
