@@ -13,14 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from rbtm_bench.core.errors import DataError
 from rbtm_bench.core.types import Array
 from rbtm_bench.report import better, held_out, intervals
 from rbtm_bench.report.better import Comparison
 from rbtm_bench.report.frame import MethodRuns
 from rbtm_bench.report.margin import DEFAULT
-from rbtm_bench.runs.stored import Run, is_number, read_run
-from rbtm_bench.studies.plan import Draw, Method, Plan
+from rbtm_bench.runs.stored import Run, is_number
+from rbtm_bench.studies.plan import Draw, Method, Plan, read
 from rbtm_bench.studies.study_file import OTHERS
 
 LEAST = 1e-9
@@ -64,14 +63,8 @@ class Outcome:
     folder: Path
 
     def __post_init__(self) -> None:
-        self._read = cache(self._from_folder)
+        self._read = cache(lambda name: read(self.folder / name))
         self.comparisons = cache(self._comparisons)
-
-    def _from_folder(self, name: str) -> Run | None:
-        try:
-            return read_run(self.folder / name)
-        except DataError:
-            return None
 
     def runs(self, method: Method, k: int, draws: Sequence[Draw]) -> list[Run]:
         """The runs of a try that were begun, failed ones among them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -117,8 +118,8 @@ class Plan:
     def _like(self, source: Method, way: str, k: int, draw: Draw, out: Path) -> list[Point]:
         """The point like a run. Where it would be that run again, to the bit, it is that run."""
         method, name = source._replace(way=way), self.names[source, k, draw]
-        run = _done(out / name)
-        if run is None:
+        run = read(out / name)
+        if run is None or not run.done or not run.metrics.get("mean_gap"):
             return []
         selector = str(self.study.ways[way].selector)
         settings = controls.like(selector, self.points[name], run, hops=HOPS)
@@ -182,10 +183,8 @@ def _drawn(settings: Settings, draw: Draw) -> Settings:
     return replace(settings, config=changed(settings.config), overrides=words)
 
 
-def _done(folder: Path) -> Run | None:
-    """A finished run of which some scan was registered to another."""
-    try:
-        run = read_run(folder)
-    except DataError:
-        return None
-    return run if run.done and run.metrics.get("mean_gap") else None
+def read(folder: Path) -> Run | None:
+    """A run, None where there is none that can be read."""
+    with contextlib.suppress(DataError):
+        return read_run(folder)
+    return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
@@ -22,7 +23,7 @@ from rbtm_bench.studies.plan import Plan
 from rbtm_bench.studies.study_file import FILE, Study
 
 SPENT = "spent.json"
-"""What a study has taken, over all calls that ended."""
+"""Processor time of a study so far (s): of this process and of those that it waited for."""
 
 
 def conduct(study: Study, asked: Asked, out: Path, jobs: int) -> Outcome:
@@ -32,34 +33,34 @@ def conduct(study: Study, asked: Asked, out: Path, jobs: int) -> Outcome:
     Raises ``ConfigError`` or ``DataError`` before the first run for settings or data at fault.
     """
     make_folder(out)
-    begun = _cpu()
+    before = _spent_before(out) - sum(os.times()[:4])
     plan = Plan.of(study)
     content = study.model_dump(exclude_defaults=True)
     write_text(out / FILE, yaml.safe_dump(content, sort_keys=False))
-    runs = out / "runs"
-    _make(list(plan.points.values()), asked, runs, jobs)
-    _make(plan.follow(runs), asked, runs, jobs)
-    sources = {way.like for way in study.ways.values() if way.like}
-    first = Outcome(plan, runs)
-    chosen = {method: first.choice(method) for method in plan.methods(*map(str, sources))}
-    _make(plan.rotate(chosen, runs), asked, runs, jobs)
-    outcome = Outcome(plan, runs)
-    spent = _spent_before(out) + _cpu() - begun
-    write_json(out / SPENT, {"seconds": spent})
+    try:
+        outcome = _stages(plan, asked, out / "runs", jobs)
+    finally:  # cut or not
+        spent = before + sum(os.times()[:4])
+        write_json(out / SPENT, {"seconds": spent})
     page.write(outcome, asked.command, spent, out)
     return outcome
 
 
+def _stages(plan: Plan, asked: Asked, runs: Path, jobs: int) -> Outcome:
+    """All runs: those that are known, those like them, rotations of the gaps of those chosen."""
+    _make(list(plan.points.values()), asked, runs, jobs)
+    _make(plan.follow(runs), asked, runs, jobs)
+    sources = {way.like for way in plan.study.ways.values() if way.like}
+    first = Outcome(plan, runs)
+    chosen = {method: first.choice(method) for method in plan.methods(*map(str, sources))}
+    _make(plan.rotate(chosen, runs), asked, runs, jobs)
+    return Outcome(plan, runs)
+
+
 def _spent_before(out: Path) -> float:
-    try:
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
         return float(json.loads((out / SPENT).read_text(encoding="utf-8"))["seconds"])
-    except (OSError, ValueError, KeyError, TypeError):
-        return 0.0
-
-
-def _cpu() -> float:
-    """Processor time of this process and of those that it waited for, s."""
-    return sum(os.times()[:4])
+    return 0.0
 
 
 class _Stage(Comparison):

@@ -243,6 +243,6 @@ def _check_way(study: Study, name: str, way: Way, refuse: Any) -> None:
     tries = {other: len(study.tries(one)) for other, one in plain.items()}
     most = max(tries.values(), default=1)
     if tries.get(name, most) != most:
-        refuse(f"{key}.values", f"{tries[name]} tries, expected {most}: as many as every other way")
+        refuse(f"{key}.values", f"tries: {tries[name]}, expected {most}, as every other way has")
     if study.chosen_on == NOWHERE and most > 1:
         refuse("chosen_on", f"nowhere, but there are {most} tries: expected others or seeds")
