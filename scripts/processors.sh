@@ -20,7 +20,7 @@ fi
 
 tests=(
     tests/{core,backends,odometry,metrics,similarity,selection,guess,check,target,datasets}
-    tests/calibration tests/report/test_intervals.py tests/studies/test_make_reference.py
+    tests/calibration tests/report/test_intervals.py
     rbtm_bench/contract
     --ignore tests/calibration/test_calibrate_command.py
 )

@@ -22,6 +22,7 @@ commands
   run       one experiment:      rbtm-bench run backend=open3d_gicp selector=rbtm selector.window=20
   compare   a grid, one table:   rbtm-bench compare backend=none,open3d_p2p selector=previous,rbtm
   sweep     Hydra's multirun:    rbtm-bench sweep selector.threshold=0.6,0.7,0.8
+  study     ways with equal tries, settings chosen elsewhere, a page:  rbtm-bench study premise
   table     runs as a table:     rbtm-bench table results/compare --against selector=previous
   show      what is behind a row: settings, command, data:  rbtm-bench show results/compare/NAME
   diff      what differs between two runs:  rbtm-bench diff RUN RUN
@@ -133,6 +134,10 @@ def dispatch(words: list[str]) -> int:
         from rbtm_bench.cli import calibrate
 
         return calibrate.calibrate(words)
+    if command == "study":
+        from rbtm_bench.cli import study
+
+        return study.study(words)
     if command in ("list", "doctor"):
         from rbtm_bench.cli import about
 

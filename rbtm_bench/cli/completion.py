@@ -21,6 +21,7 @@ COMMANDS = (
     "new",
     "similarity",
     "calibrate",
+    "study",
     "data",
     "download",
     "list",

@@ -42,7 +42,7 @@ class Comparison(Grid):
         whole = {p.name for p in self.points if beside.is_finished(p, out)}
         return whole | beside.finished(self.controls, self.points, out)
 
-    def to_check(self, kept: set[str]) -> tuple[list[Point], list[Point]]:
+    def to_check(self, kept: set[str]) -> tuple[list[Point], list[Point] | str]:
         every = [*self.points, *self.controls.planned]
         rest = [point for point in every if point.name not in kept]
         return rest, rest

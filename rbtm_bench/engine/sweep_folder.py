@@ -30,9 +30,9 @@ from rbtm_bench.runs import experiment, provenance, stored
 from rbtm_bench.runs.claim import lock
 from rbtm_bench.runs.settings import Settings
 
-Kind = Literal["sweep", "compare"]
+Kind = Literal["sweep", "compare", "study"]
 
-NAMES = {"sweep": "sweep", "compare": "comparison"}
+NAMES = {"sweep": "sweep", "compare": "comparison", "study": "study"}
 
 FILE = "sweep.json"
 LIMITS = ("time_limit", "memory_limit")
@@ -181,7 +181,9 @@ def versions() -> dict[str, str | None]:
 
 
 def resume_command(kind: str, folder: Path) -> str:
-    """What to type to go on."""
+    """What to type to go on; a study has its runs in a folder of its own."""
+    if kind == "study":
+        return shlex.join(["rbtm-bench", kind, str(folder.parent)])
     return shlex.join(["rbtm-bench", kind, "--resume", str(folder)])
 
 

@@ -42,14 +42,14 @@ RULE = (
 
 
 @dataclass
-class _Setting:
+class Setting:
     """The runs of one setting by name of the data set: those that choose, those that are shown."""
 
     choosing: dict[str, list[Run]]
     shown: dict[str, list[Run]]
 
 
-Groups = dict[tuple[Any, Any], dict[str, _Setting]]
+Groups = dict[tuple[Any, Any], dict[str, Setting]]
 """By backend and selector the settings, by what they are apart from the data."""
 
 
@@ -209,7 +209,7 @@ class _Sorted:
         for run in every:
             row = self._rows[run.path]
             settings = self.groups.setdefault((row["backend"], row["selector"]), {})
-            where[run.path] = settings.setdefault(run.way, _Setting({}, {}))
+            where[run.path] = settings.setdefault(run.way, Setting({}, {}))
         for run in choosing:
             where[run.path].choosing.setdefault(self.data(run), []).append(run)
         for run in shown:
@@ -220,7 +220,7 @@ class _Sorted:
         """The name of a run's data set."""
         return str(self._rows[run.path]["data"])
 
-    def on(self, data: str) -> list[tuple[tuple[Any, Any], dict[str, _Setting]]]:
+    def on(self, data: str) -> list[tuple[tuple[Any, Any], dict[str, Setting]]]:
         """The groups that have something to show on a data set."""
         return [
             (key, settings)
@@ -228,16 +228,14 @@ class _Sorted:
             if any(data in setting.shown for setting in settings.values())
         ]
 
-    def method(self, setting: _Setting, data: str, choice: dict[str, Any]) -> MethodRuns:
+    def method(self, setting: Setting, data: str, choice: dict[str, Any]) -> MethodRuns:
         """The runs of a setting on a data set, with its choice in the row."""
         runs = setting.shown[data]
         (method,) = frame.methods(runs)
         row = {key: self._rows[runs[0].path][key] for key in ("data", "settings")}
         return MethodRuns({**method.row, **row, **choice}, runs)
 
-    def nothing(
-        self, settings: Iterable[_Setting], data: str, choice: dict[str, Any]
-    ) -> MethodRuns:
+    def nothing(self, settings: Iterable[Setting], data: str, choice: dict[str, Any]) -> MethodRuns:
         """The row of a method of which no setting could be chosen."""
         first = next(setting.shown[data][0] for setting in settings if data in setting.shown)
         known = self._rows[first.path]
@@ -258,7 +256,7 @@ def _labels(names: Sequence[str]) -> dict[str, str]:
 
 
 def _choose(
-    runs: _Sorted, settings: Mapping[str, _Setting], data: str, others: Sequence[str], words: str
+    runs: _Sorted, settings: Mapping[str, Setting], data: str, others: Sequence[str], words: str
 ) -> MethodRuns:
     """The best setting on the data sets ``others``, with its runs on ``data``."""
     candidates = [one for one in settings.values() if data in one.shown]
@@ -270,30 +268,32 @@ def _choose(
     }
     if len(tried) == 1:  # nothing was chosen, so no data chose it
         return runs.method(tried[0], data, {**choice, "chosen_on": ""})
-    best, equal = _best(tried, others)
+    best, equal = best_of(tried, others)
     choice |= {"equal": equal, "chosen_on": words}
     return runs.method(best, data, choice) if best else runs.nothing(candidates, data, choice)
 
 
-def _best(settings: Sequence[_Setting], names: Sequence[str]) -> tuple[_Setting | None, int]:
+def best_of(
+    settings: Sequence[Setting], names: Sequence[str], key: str | None = None
+) -> tuple[Setting | None, int]:
     """The best setting on these data sets, and how many have its very score; None without any
     number on them.
 
     Of those with the fewest runs that lack an error the one with the least mean over data sets
     of the mean logarithm (of replicates: the median); over those data sets that all of them have
-    a number on.
+    a number on. ``key``: the error; None: the first main one that their runs have.
     """
     lost = [0] * len(settings)
     logs: list[dict[str, float]] = [{} for _ in settings]
     for name in names:
         runs = [setting.choosing[name] for setting in settings]
-        key = _main_key([run for group in runs for run in group])
+        error = key or _main_key([run for group in runs for run in group])
         most = max(len(group) for group in runs)
         for k, group in enumerate(runs):
-            of_runs = _logs(group, key)
+            of_runs = _logs(group, error)
             lost[k] += most - len(of_runs)
             if of_runs:
-                logs[k][name] = _middle(group, key)
+                logs[k][name] = _middle(group, error)
     left = [k for k in range(len(settings)) if lost[k] == min(lost) and logs[k]]
     left = left or [k for k in range(len(settings)) if logs[k]]
     common = [name for name in names if all(name in logs[k] for k in left)]

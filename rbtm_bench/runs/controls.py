@@ -215,34 +215,40 @@ def _beside(point: Point, name: str, made: type, node: dict[str, Any], how: str)
 
 def _made(control: Matched, source: _Source) -> Settings | str:
     """The settings of a matched control, or why there is nothing to run."""
-    if control.turn:
-        return _rotated(control.turn, source)
-    selector, run = control.point.settings.choices["selector"], source.run
-    of = replace(control.point, name=source.point.name)  # the seed is its own
+    selector = control.point.settings.choices["selector"]
+    if selector == "shifted_gap" and source.error is None:
+        return "no error to judge by"
+    of = source.point if control.turn else replace(control.point, name=source.point.name)
+    return like(selector, of, source.run, max(control.turn, 1))
+
+
+def like(selector: str, of: Point, run: Run, turn: int = 1, hops: float = 1.0) -> Settings | str:
+    """The settings of a control that reaches as far back as a finished ``run``, beside the point
+    ``of``, which has the control's own seed; or why there is nothing to run. ``selector``: keyframe
+    (every so many of its mean distances, ``hops``), fixed_gap (its mean gap), or shifted_gap
+    (rotation number ``turn`` of its gaps)."""
+    if selector == "shifted_gap":
+        return _rotated(turn, of, run)
     if selector == "keyframe":
-        distance = _three_digits(mean_hop(run.path))
+        distance = _three_digits(hops * mean_hop(run.path))
         return keyframe(of, distance) if distance > 0 else "rbtm does not move between scans"
     made = fixed_gap(of, max(1.0, _three_digits(float(run.metrics["mean_gap"]))))
     return f"it {unfillable(made.config)} of the target" if unfillable(made.config) else made
 
 
-def _rotated(turn: int, source: _Source) -> Settings | str:
-    """Rotation number ``turn`` of the source's gaps: drawn without repetition."""
-    if source.error is None:
-        return "no error to judge by"
-    gaps = sequence(source.run.path)
+def _rotated(turn: int, of: Point, run: Run) -> Settings | str:
+    """Rotation number ``turn`` of a run's gaps: drawn without repetition."""
+    gaps = sequence(run.path)
     if len(set(gaps)) == 1:
         return "all gaps of rbtm are equal: so are their rotations"
     offsets = np.arange(1, len(gaps))
-    rng = np.random.default_rng([ROTATIONS, int(source.point.settings.config["seed"])])
+    rng = np.random.default_rng([ROTATIONS, int(of.settings.config["seed"])])
     drawn = rng.choice(offsets, min(ROTATIONS, len(offsets)), replace=False)
     if turn > len(drawn):
         return f"{len(gaps)} gaps have no more rotations"
-    folder, of = str(source.run.path), digest(gaps)
     offset = int(drawn[turn - 1])
-    return shifted_gap(
-        source.point, {"offset": offset, "gaps_from": folder, "gaps_sha256": of, "gaps": None}
-    )
+    folder = {"gaps_from": str(run.path), "gaps_sha256": digest(gaps), "gaps": None}
+    return shifted_gap(of, {"offset": offset, **folder})
 
 
 def mean_hop(run: Path) -> float:

@@ -85,7 +85,7 @@ class Perturb(TypedDict):
     end_scan: Annotated[int, Ge(1)] | None
     every_scan: Annotated[int, Ge(1)]
     every_beam: Annotated[int, Ge(1)]
-    odometry_scale: Annotated[float, Gt(-1)]
+    odometry_scale: Annotated[float, Ge(-1)]
     odometry_drift_deg: float
 
 

@@ -1,6 +1,6 @@
 """The main job on the embedded corridor: every backend, every way to choose the model scan.
 
-Settings were chosen on seeds 100 to 104 by scripts/choose_demo_settings.py (four tries for each
+Settings were chosen on seeds 100 to 104 by ``rbtm-bench study demo`` (four tries for each
 strategy); shown are seeds 5 to 9, on which nothing was tuned. Leaves results/demo/table.csv (a
 row a run), summary.csv (a row a method, medians) and figures.
 """

@@ -192,6 +192,8 @@ def test_biased_odometry_by_hand() -> None:
     line = np.stack([se2(0.5 * i, 0, 0) for i in range(5)])
     long = biased(line, 0.1, 0.0)
     np.testing.assert_allclose(long[-1], se2(2.2, 0, 0), atol=1e-12)
+    still = biased(line, -1.0, 0.0)
+    np.testing.assert_allclose(still[:, :3, 3], np.broadcast_to(line[0, :3, 3], (len(line), 3)))
     turning = biased(line, 0.0, np.deg2rad(4.0))
     steps = inverse(turning[:-1]) @ turning[1:]
     np.testing.assert_allclose(translation_norm(steps), 0.5)
