@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib import import_module
 
 from rbtm_bench.core.escape import harmless_output
 from rbtm_bench.core.guarded import guarded
@@ -63,6 +64,25 @@ HYDRA_FLAGS = (
     "--experimental-rerun",
 )
 
+SUBCOMMANDS = {
+    "data": "data.data",
+    "download": "download.download",
+    "table": "results.table",
+    "plot": "figures.plot",
+    "show": "inspect.show",
+    "diff": "inspect.diff",
+    "gate": "publish.gate",
+    "export": "publish.export",
+    "report": "publish.report",
+    "new": "new.new",
+    "similarity": "similarity.similarity",
+    "calibrate": "calibrate.calibrate",
+    "study": "study.study",
+    "list": "about.list_plugins",
+    "doctor": "about.doctor",
+}
+"""Each with its module and function, which are imported when it is called."""
+
 
 def main(argv: list[str] | None = None) -> int:
     """Run a subcommand; returns the exit code: 0, 1 for a failed run, 2 for a user's mistake."""
@@ -97,51 +117,10 @@ def dispatch(words: list[str]) -> int:
         if any(word in HYDRA_FLAGS or word.startswith("--cfg=") for word in words):
             return runs.hydra_itself(words)
         return {"run": runs.run, "compare": runs.compare, "sweep": runs.sweep}[command](words)
-    if command == "data":
-        from rbtm_bench.cli.data import data
-
-        return data(words)
-    if command == "download":
-        from rbtm_bench.cli.download import download
-
-        return download(words)
-    if command == "table":
-        from rbtm_bench.cli.results import table
-
-        return table(words)
-    if command == "plot":
-        from rbtm_bench.cli.figures import plot
-
-        return plot(words)
-    if command in ("show", "diff"):
-        from rbtm_bench.cli import inspect
-
-        return {"show": inspect.show, "diff": inspect.diff}[command](words)
-    if command in ("gate", "export", "report"):
-        from rbtm_bench.cli import publish
-
-        kinds = {"gate": publish.gate, "export": publish.export, "report": publish.report}
-        return kinds[command](words)
-    if command == "new":
-        from rbtm_bench.cli.new import new
-
-        return new(words)
-    if command == "similarity":
-        from rbtm_bench.cli import similarity
-
-        return similarity.similarity(words)
-    if command == "calibrate":
-        from rbtm_bench.cli import calibrate
-
-        return calibrate.calibrate(words)
-    if command == "study":
-        from rbtm_bench.cli import study
-
-        return study.study(words)
-    if command in ("list", "doctor"):
-        from rbtm_bench.cli import about
-
-        return {"list": about.list_plugins, "doctor": about.doctor}[command](words)
+    if command in SUBCOMMANDS:
+        module, _, name = SUBCOMMANDS[command].partition(".")
+        function = getattr(import_module(f"rbtm_bench.cli.{module}"), name)
+        return int(function(words))
     import difflib
 
     from rbtm_bench.cli.completion import COMMANDS

@@ -35,6 +35,7 @@ WAYS: dict[str, list[str]] = {
 
 
 def main() -> None:
+    """Print the table, a place after the other."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("places", nargs="*", default=list(PLACES))
     parser.add_argument("--seeds", type=int, default=10)

@@ -29,6 +29,7 @@ ELSEWHERE = {
     "python scripts/benchmarks/kill_sweep.py": "engine/test_stopped_sweeps.py",
     "python scripts/benchmarks/bench_": "end_to_end/test_benchmarks.py",
     "python scripts/benchmarks/best.py": "end_to_end/test_recipes.py",
+    "python scripts/benchmarks/best_3d.py": "end_to_end/test_recipes.py",
     "python scripts/benchmarks/cases.py": "datasets/test_cases.py",
     "python scripts/benchmarks/placebo.py": "report/test_placebo.py",
     "python scripts/benchmarks/nothing_matches.py": "odometry/test_nothing_matches.py",
@@ -140,7 +141,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory, data_dir: Path) -> Path:
             run(root / "results/sweep", f"{seed}-{window}", "paper", "rbtm", "none", *words)
     (root / "results" / "s1").symlink_to(root / "results" / "sweep")
     (root / "names.yaml").write_text("selector:\n  rbtm: Ours\n")
-    (root / "results" / "main").symlink_to(root / "results" / "compare")
+    for name in ("main", "first"):
+        (root / "results" / name).symlink_to(root / "results" / "compare")
     return root
 
 
