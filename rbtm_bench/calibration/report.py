@@ -231,6 +231,8 @@ def _advice(backend: str, verdict: Verdict) -> list[str]:
     metric = verdict.tried[0].metric
     lines = [f"{backend}: settings run on the calibration part; {metric}: median [quartiles] worst"]
     lines += _of_trials(sorted(verdict.tried, key=lambda t: t.median), verdict)
+    if not np.isfinite(min(t.median for t in verdict.tried)):
+        lines.append("  no setting has an error there: nothing could be chosen")
     lines.append(f"{backend}: the advice beside the references on the reported part")
     lines += _of_trials(verdict.shown, verdict)
     advice, instead = verdict.advice, verdict.instead
