@@ -22,7 +22,7 @@ def test_relations_of_a_log(
 ) -> None:
     log = data_dir / "freiburg" / "mit-csail"
     words = ["dataset=carmen", f"dataset.path={log}.clf.gz", f"dataset.relations={log}.relations"]
-    words += ["backend=plicp", "similarity=overlap", "--pairs=60", "--replicates=0"]
+    words += ["backend=plicp", "similarity=overlap", "--pairs=150", "--replicates=0"]
     words += [f"--out={tmp_path / 'a'}"]
     assert main(["calibrate", *words]) == 0
     shown = capsys.readouterr().out

@@ -78,7 +78,7 @@ def test_a_control_differs_from_its_run_in_the_selector_alone() -> None:
         theirs = point.settings
         same = ours.settings.identity.without("selector", "similarity")
         assert theirs.identity.without("selector", "similarity") == same
-        assert theirs.choices["check"] == "gated" and theirs.control["of"] == ours.name
+        assert theirs.choices["check"] == "consistent" and theirs.control["of"] == ours.name
         if theirs.choices["selector"] in ("oldest", "shifted_gap"):
             assert theirs.config["selector"]["window"] == 7
             assert theirs.config["selector"]["keyframe_distance"] == 0.4

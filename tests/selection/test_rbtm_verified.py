@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from loop_helpers import NAN, Perfect, Script, drive, method, rows
 
-from rbtm_bench.check.gated import Gated
+from rbtm_bench.check.consistent import Consistent
 from rbtm_bench.cli.commands import main
 from rbtm_bench.core.errors import ConfigError
 from rbtm_bench.odometry.loop import odometry
@@ -23,9 +23,12 @@ FEW = ("dataset.scans=8", "backend=none")
 
 def test_it_brings_its_check() -> None:
     settings = compose_settings(["selector=rbtm_verified", *FEW])
-    assert (settings.choices["selector"], settings.choices["check"]) == ("rbtm_verified", "gated")
+    assert (settings.choices["selector"], settings.choices["check"]) == (
+        "rbtm_verified",
+        "consistent",
+    )
     parts = instantiate(settings)
-    assert type(parts.method.selector) is RbtmVerified and type(parts.method.check) is Gated
+    assert type(parts.method.selector) is RbtmVerified and type(parts.method.check) is Consistent
 
 
 def test_its_check_has_settings() -> None:
@@ -37,14 +40,14 @@ def test_its_check_has_settings() -> None:
 def test_data_sets_still_set_their_defaults() -> None:
     words = ["selector=rbtm_verified", "dataset=carmen", "dataset.path=somewhere"]
     assert compose_settings(words).choices["guess"] == "odometry"
-    assert compose_settings(words).choices["check"] == "gated"
+    assert compose_settings(words).choices["check"] == "consistent"
     assert compose_settings(["dataset=carmen", "dataset.path=x"]).choices["check"] == "none"
 
 
 def test_in_a_comparison_each_has_its_own() -> None:
     points, _ = make_points(["selector=rbtm,rbtm_verified", *FEW])
     checks = {point.name: point.settings.choices["check"] for point in points}
-    assert checks == {"none-rbtm": "none", "none-rbtm_verified": "gated"}
+    assert checks == {"none-rbtm": "none", "none-rbtm_verified": "consistent"}
 
 
 def test_without_a_check_it_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
