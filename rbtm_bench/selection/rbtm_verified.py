@@ -1,6 +1,6 @@
 """RBTM whose registrations are believed only after a check, the fallback's included.
 
-Its config brings ``check=consistent`` along, so that ``selector=rbtm_verified`` is all one has to say.
+Its config brings ``check=consistent`` along: ``selector=rbtm_verified`` is all one has to say.
 """
 
 from __future__ import annotations
