@@ -35,8 +35,16 @@ def csv(text: str) -> str:
 
 
 def csv_table(table: pd.DataFrame) -> pd.DataFrame:
-    """The table with its text made so; numbers stay numbers."""
-    return table.map(lambda value: csv(value) if isinstance(value, str) else value)
+    """The table with its text made so; numbers stay the numbers that they are."""
+    import pandas as pd
+    from pandas.api.types import is_numeric_dtype
+
+    of_text = {}
+    for name in table.columns:
+        if not is_numeric_dtype(table[name]):  # whole numbers beside nothing would become fractions
+            cells = [csv(value) if isinstance(value, str) else value for value in table[name]]
+            of_text[name] = pd.Series(cells, index=table.index, dtype=object)
+    return table.assign(**of_text)
 
 
 def markdown(text: str) -> str:

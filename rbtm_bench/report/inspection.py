@@ -91,7 +91,8 @@ def run_text(run: Run) -> str:
         for k, v in config.items()
         if k not in (*GROUPS, "out", "overwrite") and kind_of(k) is not Kind.FEED
     }
-    lines += _entry("other", " ".join(f"{k}={_word(v)}" for k, v in _settings(rest).items()))
+    given = {k: v for k, v in _settings(rest).items() if v is not None}  # null: not asked for
+    lines += _entry("other", " ".join(f"{k}={_word(v)}" for k, v in given.items()))
     versions = {"git": record.get("git"), **(record.get("versions") or {})}
     lines += _entry("versions", ", ".join(f"{k} {v}" for k, v in versions.items()))
     lines += _entry("machine", _machine(record))

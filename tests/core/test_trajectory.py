@@ -153,7 +153,7 @@ def test_malformed_files_name_file_and_line(tmp_path, text, message):
 def test_missing_files(tmp_path):
     with pytest.raises(DataError, match=r"none.tum: cannot be read: No such file"):
         Trajectory.read_tum(tmp_path / "none.tum")
-    with pytest.raises(DataError, match="cannot be read: Is a directory"):
+    with pytest.raises(DataError, match="not a regular file"):
         Trajectory.read_tum(tmp_path)
 
 

@@ -179,8 +179,8 @@ def test_damaged_clouds_are_one_line_and_no_memory(cases_dir: Path) -> None:
 
 
 def test_damaged_results_are_one_line(cases_dir: Path, tmp_path: Path) -> None:
+    from rbtm_bench.core.bounded import read_json
     from rbtm_bench.plots.folder import _npz
-    from rbtm_bench.runs.stored import _json
 
     damaged = cases_dir / "damaged"
     with pytest.raises(DataError, match=r"points \(150000000, 3\) announced, 1128 bytes"):
@@ -188,7 +188,7 @@ def test_damaged_results_are_one_line(cases_dir: Path, tmp_path: Path) -> None:
     with pytest.raises(DataError, match="not readable: Error -3"):
         _npz(damaged / "rd-exception-flip-143-similarity.npz", ("scans", "scores"))
     with pytest.raises(DataError, match="not readable as JSON"):
-        _json(damaged / "run-unknown-jsondeep-37-run.json")
+        read_json(damaged / "run-unknown-jsondeep-37-run.json")
 
 
 # --- runs

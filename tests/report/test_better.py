@@ -212,8 +212,8 @@ def test_figures_show_replicates_and_not_the_run_beside_them(
     assert sorted(map(len, part.cells.values())) == [9, 10] and max(part.values) == 38.0
     (data,) = groups.data_sets(runs)
     points = {point.method: point for point in cost.read(data, MM)}
-    assert points["previous"].error == 29.0 and points["previous"].quartiles == (24.5, 33.5)
-    assert groups.repeats(runs) == "replicates" and points["rbtm"].scaled(0.5).error == 7.0
+    assert points["Previous"].error == 29.0 and points["Previous"].quartiles == (24.5, 33.5)
+    assert groups.repeats(runs) == "replicates" and points["RBTM"].scaled(0.5).error == 7.0
 
 
 def test_the_spread_of_a_method(tmp_path: Path) -> None:

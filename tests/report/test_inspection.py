@@ -75,7 +75,7 @@ def test_show_tells_all_on_a_screen(compared: Path) -> None:
         "backend none: max_correspondence_distance=0.3 voxel_size=0",
         "selector rbtm: window=10 window_m=null threshold=0.7",
         "check none target single",
-        "other seed=7 replicates=1 controls=auto replicate=0 pin=True time_limit=null",
+        "other seed=7 replicates=1 controls=auto replicate=0 pin=True",
         "open3d 0.",
         "final position error",
         "metrics.json",

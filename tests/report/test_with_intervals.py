@@ -219,7 +219,7 @@ def test_a_metric_that_no_run_has(runs: Path, capsys: Any) -> None:
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        (["--metric", MM], "--metric: goes with --intervals or --against"),
+        (["--metric", MM], "--metric: goes with --intervals, --against, --paper"),
         (["--pool"], "--pool: goes with"),
         (["--over-seeds", "--mean"], "--mean: goes with --intervals"),
         (["--best", "--intervals"], "not allowed with"),
