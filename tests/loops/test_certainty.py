@@ -52,7 +52,7 @@ def test_a_loop_makes_what_it_spans_sure(track) -> None:
     two_ways = np.linalg.inv(
         np.linalg.inv(SURE[np.ix_(PLANE, PLANE)]) + np.linalg.inv(before[0][np.ix_(PLANE, PLANE)])
     )
-    np.testing.assert_allclose(closed[np.ix_(PLANE, PLANE)], two_ways, rtol=1e-9)
+    np.testing.assert_allclose(closed[np.ix_(PLANE, PLANE)], two_ways, rtol=1e-9, atol=1e-12)
     assert np.trace(beyond) < np.trace(before[1])
     np.testing.assert_allclose(after, before[2], atol=1e-12)
     assert np.trace(within) < np.trace(before[3])
