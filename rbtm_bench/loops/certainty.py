@@ -50,10 +50,9 @@ class Certainty:
         H, _ = normal_equations(graph, np.ones(len(graph.ends)))
         solver = splu(H.tocsc(), permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True})
         count, nodes = H.shape[0], sorted({node for pair in pairs for node in pair} - {0})
-        wanted = sorted({(pair.model, pair.scan) for pair in pairs} | {(n, n) for n in nodes})
-        by_column: dict[int, list[int]] = {}
-        for row, column in wanted:
-            by_column.setdefault(column, []).append(row)
+        rows = {node: {node} for node in nodes}
+        for pair in pairs:  # of the first keyframe, which is held, there are none
+            rows[pair.scan] |= {pair.model} - {0}
         blocks: Blocks = {}
         for start in range(0, len(nodes), COLUMNS // size):
             part = nodes[start : start + COLUMNS // size]
@@ -63,15 +62,12 @@ class Certainty:
                 unit[at : at + size, k * size : (k + 1) * size] = np.eye(size)
             solved = solver.solve(unit)
             for k, node in enumerate(part):
-                for row in by_column.get(node, ()):
-                    if row:
-                        at = (row - 1) * size
-                        blocks[row, node] = solved[at : at + size, k * size : (k + 1) * size]
+                for row in rows[node]:
+                    at = (row - 1) * size
+                    blocks[row, node] = solved[at : at + size, k * size : (k + 1) * size]
         return [self._of_motion(pair, blocks, axes) for pair in pairs]
 
-    def _of_motion(
-        self, pair: Pair, blocks: dict[tuple[int, int], Array], axes: list[int]
-    ) -> Array:
+    def _of_motion(self, pair: Pair, blocks: Blocks, axes: list[int]) -> Array:
         """d of T_model_scan exp(d) is the scan's small motion less the model's, moved into the
         scan's frame."""
         T_model_scan = inverse(self._poses[pair.model]) @ self._poses[pair.scan]

@@ -49,9 +49,8 @@ class GraphLoops(Loops):
         self, track: Track, T_world_scan: Array, tried: Collection[Pair], closed: Places
     ) -> list[Pair]:
         """Pairs of keyframes to verify, none of them ``tried``, of each scan the best first: the
-        model the older one.
-        ``T_world_scan`` (K, 4, 4) are the best poses of the keyframes so far, ``closed`` (L,) the
-        keyframes at an end of a loop that is believed."""
+        model the older one. ``T_world_scan`` (K, 4, 4) are the best poses of the keyframes so far,
+        ``closed`` (L,) the keyframes at an end of a loop that is believed."""
 
     def prepare(self, track: Track, dataset: Dataset, work: Work) -> None:
         """Called once a run, before the first ``pairs``."""
@@ -98,17 +97,12 @@ class GraphLoops(Loops):
         counted = scale[best.may_be_wrong] >= 0.5
         believed = [loop for loop, counts in zip(loops.values(), counted, strict=True) if counts]
         closed = np.unique(np.array(list(loops), dtype=np.int64))
-        pairs = [
-            p
-            for p in self.pairs(track, poses, tried, closed)
-            if p.scan not in {q.scan for q in loops}
-        ]
-        asked: set[int] = set()
-        for pair, unsure in zip(
-            pairs, Certainty(track, poses, believed).between(pairs), strict=True
-        ):
-            if pair.scan not in asked and verifier.reaches(unsure):
-                asked.add(pair.scan)
+        done = {pair.scan for pair in loops}
+        pairs = [p for p in self.pairs(track, poses, tried, closed) if p.scan not in done]
+        covariances = Certainty(track, poses, believed).between(pairs)
+        for pair, unsure in zip(pairs, covariances, strict=True):
+            if pair.scan not in done and verifier.reaches(unsure):
+                done.add(pair.scan)
                 yield pair, inverse(poses[pair.model]) @ poses[pair.scan], unsure
 
 

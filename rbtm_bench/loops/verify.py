@@ -25,7 +25,7 @@ from rbtm_bench.pairs.shared import NATIVE_SHARE, Bounded
 CELL, BLUR = 0.05, 0.1
 """m: a search's step, and the standard deviation of the likelihood that it looks at."""
 REACH = 3.0
-"""Sigmas of the path that a search goes, within its bounds."""
+"""Sigmas of the estimate that a search goes."""
 OFF_PATH = "sigmas from the path"
 MEMORY = 200e6
 """Bytes of prepared scans and targets that are kept."""
@@ -142,13 +142,12 @@ class Verifier:
     def _searched(
         self, source: Prepared, target: Prepared, T_guess: Array, covariance: Array
     ) -> Array:
-        """The likeliest motion around the guess, as far as the path may be off; in space, where
-        there is no search, the guess."""
+        """The likeliest motion around the guess, as far as it may be off; in space, where there is
+        no search, the guess."""
         if self._matcher is None:
             return T_guess
         std = np.sqrt(np.diag(covariance))
-        metres = min(self._limits.search_m, REACH * float(std[:2].max()))
-        turn = min(np.radians(self._limits.search_deg), REACH * float(std[5]))
+        metres, turn = REACH * float(std[:2].max()), REACH * float(std[5])
         peak = self._matcher.match(source, target, T_guess, metres, turn)
         return se2(*peak.pose) if peak.score > 0.0 else T_guess
 
