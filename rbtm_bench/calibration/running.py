@@ -166,10 +166,10 @@ def run_trials(
             (a, b), (c, d) = [(first + every * s, first + every * e) for s, e in spans]
             places.append(Place(mine.overrides, (a, b), (c, d), sample.of_wheels))
 
-        def told(word: str, done: int, total: int, who: str = backend) -> None:
+        def advance(word: str, done: int, total: int, who: str = backend) -> None:
             progress(done, total, f"{who}: {word}")
 
-        trials = Trials(places, plan.replicates, out, extra_dirs, crew, told)
+        trials = Trials(places, plan.replicates, out, extra_dirs, crew, advance)
         asked_for = [*REFERENCES, *candidates[backend]]
         verdicts[backend] = trials.verdict(backend, asked_for, similarities)
     return verdicts

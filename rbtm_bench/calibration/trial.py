@@ -149,8 +149,8 @@ def chosen(trials: Sequence[Trial]) -> Trial:
     fewer registrations, then those without scores; of references in their order, else the best."""
     best = min(trials, key=lambda t: t.median)
     others = [t for t in trials if t is not best]
-    told = better.adjusted([compared(t, best) for t in others])
-    alike = [best, *(t for t, c in zip(others, told, strict=True) if not _apart(c))]
+    adjusted = better.adjusted([compared(t, best) for t in others])
+    alike = [best, *(t for t, c in zip(others, adjusted, strict=True) if not _apart(c))]
     least = min(t.cost for t in alike)
 
     def order(t: Trial) -> tuple[bool, bool, bool, float]:
@@ -217,7 +217,7 @@ class Trials:
     out: Path
     extra_dirs: tuple[Path, ...]
     crew: Sequence[Supervisor]
-    told: Callable[[str, int, int], None]
+    advance: Callable[[str, int, int], None]
 
     def verdict(
         self, backend: str, candidates: Sequence[Candidate], similarities: Mapping[str, Any]
@@ -249,7 +249,7 @@ class Trials:
         count = iter(range(1, len(flat) + 1))
         word = ("runs on the calibration part", "runs on the reported part")[part]
         drive.run_points(
-            flat, folder, len(self.crew), lambda *_: self.told(word, next(count), len(flat)),
+            flat, folder, len(self.crew), lambda *_: self.advance(word, next(count), len(flat)),
             crew=self.crew,
         )  # fmt: skip
         return [

@@ -94,16 +94,16 @@ def _measure(
     pin = bool(points[0].settings.config["pin"])
     crew[0].call(one_run.check_data, [_without_guess(point) for point in points], pin=pin)
     with bar("calibrate") as progress:
-        told = progress.update_to
-        measured, samples = running.measure(asked, plan, crew, pin, told)
-        told(0, None, "resampling")
+        advance = progress.update_to
+        measured, samples = running.measure(asked, plan, crew, pin, advance)
+        advance(0, None, "resampling")
         # in a pinned child: sums on one core have the same last bits everywhere
         findings = crew[0].call(tables.analyse, measured, samples, pin=pin)
         make_folder(out)
         verdicts = running.run_trials(
-            points, asked, plan, samples, findings.candidates, out, extra_dirs, crew, told
+            points, asked, plan, samples, findings.candidates, out, extra_dirs, crew, advance
         )
-        told(0, None, "drawing")
+        advance(0, None, "drawing")
         names = _data_names(asked)
         text = report.text(measured, samples, findings, verdicts, plan, names)
         tables.write(measured, findings, verdicts, out)

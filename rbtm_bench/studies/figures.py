@@ -71,10 +71,10 @@ def deciding(outcome: Outcome) -> Figure:
         for other in outcome.others(ours)
         if study.ways[other].selector == "shifted_gap"
     ]
-    told = {ours: outcome.comparisons(ours) for ours in study.ours}
+    comparisons = {ours: outcome.comparisons(ours) for ours in study.ours}
     for row, name in zip(grid, data, strict=True):
         for y, ((ours, other), backend) in enumerate(itertools.product(pairs, study.backends)):
-            one = told[ours].get((Method(name, backend, ours), other))
+            one = comparisons[ours].get((Method(name, backend, ours), other))
             if one is not None and one.ratio is not None:
                 _interval(row[0], y, one.ratio.value, one.ratio.low, one.ratio.high, look[ours])
         names = [
@@ -179,11 +179,11 @@ def regime(outcome: Outcome, ours: str, other: str) -> Figure:
     rows = list(itertools.product(study.data, study.backends))
     figure = Figure(figsize=(style.DOUBLE, 1.35 * len(rows) + 1.1))
     grid = figure.subplots(len(rows), len(depth), squeeze=False, sharex=True, sharey=True)
-    told = outcome.comparisons(ours)
+    comparisons = outcome.comparisons(ours)
     norm = TwoSlopeNorm(0.0, -MOST, MOST)
     for (data, backend), line in zip(rows, grid, strict=True):
         for label, own, at, _ in study.cells():
-            one = told.get((Method(label, backend, ours), other))
+            one = comparisons.get((Method(label, backend, ours), other))
             if own != data or one is None:
                 continue
             ratio = one.ours / one.theirs

@@ -136,22 +136,22 @@ class Outcome:
     def _comparisons(self, ours: str) -> dict[tuple[Method, str], Comparison]:
         """Of one way with every other, cell by cell; Holm over the others of a data set and
         backend, over the cells where there are axes."""
-        found: dict[tuple[Method, str], Comparison] = {}
+        comparisons: dict[tuple[Method, str], Comparison] = {}
         for method in self.plan.methods(ours):
             for other in self.others(ours):
                 theirs = self.method_runs(method._replace(way=other))
                 key = self.plan.study.metric
                 one = better.compare(self.method_runs(method), theirs, key, DEFAULT)
                 if one is not None:
-                    found[method, other] = one
+                    comparisons[method, other] = one
         families: dict[object, list[tuple[Method, str]]] = {}
-        for (method, other), _ in found.items():
+        for (method, other), _ in comparisons.items():
             family = (method.backend, other if self.plan.study.axes else method.data)
             families.setdefault(family, []).append((method, other))
         for members in families.values():
-            told = better.adjusted([found[member] for member in members])
-            found.update(zip(members, told, strict=True))
-        return found
+            adjusted = better.adjusted([comparisons[member] for member in members])
+            comparisons.update(zip(members, adjusted, strict=True))
+        return comparisons
 
     def others(self, ours: str) -> list[str]:
         """What a way is compared with: every other, of rotations its own."""

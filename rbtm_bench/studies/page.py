@@ -174,8 +174,11 @@ def _ways(outcome: Outcome) -> pd.DataFrame:
 
 
 def _ratio_table(outcome: Outcome, ours: str) -> pd.DataFrame:
-    told = outcome.comparisons(ours)
-    rows = [{**method._asdict(), "way": other, "of": one} for (method, other), one in told.items()]
+    comparisons = outcome.comparisons(ours)
+    rows = [
+        {**method._asdict(), "way": other, "of": one}
+        for (method, other), one in comparisons.items()
+    ]
     mark = _mark(outcome.plan.study)
     return (
         _wide(pd.DataFrame(rows), lambda row: _ratio(row["of"]), mark) if rows else pd.DataFrame()
