@@ -27,6 +27,7 @@ from rbtm_bench.runs.settings import compose_settings
 RBTM = ("selector=rbtm_verified", "selector.threshold=0.7")
 METHODS = {
     "previous": (*RBTM, "selector.fallback=previous"),
+    "previous, check=gated": (*RBTM, "selector.fallback=previous", "check=gated"),
     "skip, no restart": (*RBTM, "selector.fallback=skip", "selector.restart_after=1000000"),
     "skip": (*RBTM, "selector.fallback=skip"),
 }
