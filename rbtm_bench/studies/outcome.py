@@ -44,7 +44,7 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Pooled:
-    """A geometric mean ratio over backends and data sets; ends of its 95 % intervals with draws
+    """A geometric mean ratio over backends, places of the axes and data sets; ends of its 95 % intervals with draws
     resampled within data sets, and with data sets resampled (None: fewer than three)."""
 
     ratio: float
@@ -163,13 +163,15 @@ class Outcome:
         ]
 
     def pooled(self, ours: str, other: str) -> Pooled | None:
-        """The ratio of a way's errors to another's: geometric mean over draws, backends, then data
-        sets. None without any."""
+        """The ratio of a way's errors to another's: geometric mean over draws, backends and places
+        of the axes, then data sets. None without any. Places of one data set share its draws: they
+        are resampled together, and say nothing of another data set."""
         places: dict[str, list[Array]] = {}
+        data_set = {label: name for label, name, _, _ in self.plan.study.cells()}
         equal = cells = 0
         for method in self.plan.methods(ours):
             logs = self._log_ratios(method, method._replace(way=other))
-            places.setdefault(method.data, []).append(logs)
+            places.setdefault(data_set[method.data], []).append(logs)
             cells += 1
             equal += not np.nan_to_num(logs).any() and not np.isnan(logs).all()
         matrices = [np.stack(of_backends) for of_backends in places.values()]

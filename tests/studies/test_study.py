@@ -251,6 +251,26 @@ def test_pooled_ratios_weigh_data_sets_alike_and_say_what_is_1_by_construction(
     assert pooled.draws is None  # two draws of c are too few
 
 
+def test_places_of_the_axes_are_no_data_sets(tmp_path: Path) -> None:
+    """Twice as good at one place and four times worse at another: one data set's word."""
+    ways = {n: SMALL["ways"][n] for n in ("previous", "rbtm")}  # type: ignore[index]
+    data = {"a": "dataset.environment=paper"}
+    axes = {"noise": {"key": "dataset.range_noise", "values": [0.0, 0.1, 0.2]}}
+    study = study_file.load(changed(tmp_path, ways=ways, data=data, axes=axes), False, [])
+    known = Known(Plan(study, {}, {}, {}), tmp_path)
+    ours = {"0": [1.0, 2.0, 4.0], "0.1": [0.5, 1.0, 2.0], "0.2": [4.0, 8.0, 16.0]}
+    for noise, errors in ours.items():
+        known.errors = getattr(known, "errors", {}) | {
+            (f"a noise={noise}", "rbtm"): errors,
+            (f"a noise={noise}", "previous"): [1.0, 2.0, 4.0],
+        }
+    pooled = known.pooled("rbtm", "previous")
+    assert pooled is not None and pooled.ratio == pytest.approx(2 ** (1 / 3))
+    assert (pooled.n_places, pooled.cells, pooled.places) == (1, 3, None)
+    # every draw says the same of the three places together, however they differ among themselves
+    assert pooled.draws == pytest.approx((2 ** (1 / 3), 2 ** (1 / 3)))
+
+
 def test_cells_are_the_settings_that_composing_them_gives(tmp_path: Path) -> None:
     axes = {"noise": {"key": "dataset.range_noise", "values": [0.0, 0.1]}}
     study = study_file.load(changed(tmp_path, axes=axes), False, [])
