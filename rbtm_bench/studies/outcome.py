@@ -44,8 +44,9 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Pooled:
-    """A geometric mean ratio over backends, places of the axes and data sets; ends of its 95 % intervals with draws
-    resampled within data sets, and with data sets resampled (None: fewer than three)."""
+    """A geometric mean ratio over backends, places of the axes and data sets; ends of its 95 %
+    intervals with draws resampled within data sets, and with data sets resampled (None: fewer than
+    three)."""
 
     ratio: float
     draws: tuple[float, float] | None
