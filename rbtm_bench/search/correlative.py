@@ -14,6 +14,7 @@ from rbtm_bench.core.types import Array
 from rbtm_bench.search.base import Search, Start
 
 Positive = Annotated[float, Gt(0)]
+Share = Annotated[float, Ge(0), Le(1)]
 
 
 class CorrelativeSearch(Search):
@@ -22,11 +23,14 @@ class CorrelativeSearch(Search):
 
     The window reaches ``translation`` m and ``rotation_deg`` to either side, and ``sigmas``
     standard deviations of the guess more: ``translation_noise`` of the distance and
-    ``rotation_noise`` of the turn between the two scans. A pose that scores less than ``min_gain``
-    above the guess is not believed to be better: the start is the guess. ``cell_size`` and
-    ``sigma`` (m) are the table's. With ``peak_apart`` m the score of the best pose that far (or
-    ``peak_apart_deg``) from the best is looked for as well, which costs several times the search:
-    a share near 1 says that the scans fit in two ways, 0 that the window holds no other pose.
+    ``rotation_noise`` of the turn between the two scans. A pose that scores less than
+    ``min_gain`` above the guess is not believed to be better: the start is the guess. Where no
+    pose of the window scores ``doubt`` (0: never asked), as after wheels that slipped, the
+    window reaches ``wide_translation`` m and ``wide_rotation_deg`` further, and a pose out
+    there is believed that scores ``wide_gain`` more. ``cell_size`` and ``sigma`` (m) are the
+    table's. With ``peak_apart`` m the score of the best pose that far (or ``peak_apart_deg``)
+    from the best is looked for as well, which costs several times the search: a share near 1
+    says that the scans fit in two ways, 0 that the window holds no other pose.
     """
 
     dimensions = ("2d",)
@@ -38,7 +42,11 @@ class CorrelativeSearch(Search):
         sigmas: Annotated[float, Ge(0)] = 2.0,
         translation_noise: Annotated[float, Ge(0)] = 0.1,
         rotation_noise: Annotated[float, Ge(0)] = 0.1,
-        min_gain: Annotated[float, Ge(0), Le(1)] = 0.05,
+        min_gain: Share = 0.05,
+        doubt: Share = 0.0,
+        wide_translation: Annotated[float, Ge(0)] = 0.5,
+        wide_rotation_deg: Annotated[float, Ge(0), Le(180)] = 20.0,
+        wide_gain: Share = 0.1,
         cell_size: Positive = 0.05,
         sigma: Positive = 0.1,
         peak_apart: Positive | None = None,
@@ -46,7 +54,8 @@ class CorrelativeSearch(Search):
     ) -> None:
         self.translation, self.rotation = translation, math.radians(rotation_deg)
         self.by_distance, self.by_turn = sigmas * translation_noise, sigmas * rotation_noise
-        self.min_gain = min_gain
+        self.min_gain, self.doubt, self.wide_gain = min_gain, doubt, wide_gain
+        self.wider = wide_translation, math.radians(wide_rotation_deg)
         self.matcher = CorrelativeMatcher(cell_size, sigma, peak_apart or 0.0, peak_apart_deg)
 
     def start(self, source: Prepared, target: Prepared, T_target_source: Array) -> Start:
@@ -55,6 +64,10 @@ class CorrelativeSearch(Search):
         rotation = self.rotation + self.by_turn * abs(float(yaw(T_target_source)))
         built, guess = target.as_built(T_target_source)  # its field is kept
         peak = self.matcher.match(source, built, guess, translation, rotation)
+        if peak.score < self.doubt:
+            further, turn = self.wider
+            wide = self.matcher.match(source, built, guess, translation + further, rotation + turn)
+            peak = wide if wide.score >= peak.score + self.wide_gain else peak
         if peak.score == 0.0 or peak.score < peak.middle_score + self.min_gain:
             return Start(T_target_source, peak.middle_score, peak.peak_ratio)
         pose = se2(*peak.pose)

@@ -63,6 +63,30 @@ def test_the_window_grows_with_the_motion(distance: float, reaches: bool) -> Non
     assert bool(translation_norm(off) < 0.1) == reaches
 
 
+@pytest.mark.parametrize(
+    ("settings", "is_right"),
+    [
+        ({}, False),
+        ({"doubt": 0.75}, True),
+        ({"doubt": 0.75, "wide_rotation_deg": 5.0}, False),  # the slip is further out
+        ({"doubt": 0.2}, False),  # what there is scores more, so nothing is in doubt
+        ({"doubt": 0.75, "wide_gain": 0.9}, False),
+    ],
+)
+def test_a_slip_of_the_wheels_is_met_where_the_window_is_in_doubt(
+    settings: dict[str, float], is_right: bool
+) -> None:
+    """The wheels say 3 deg, the scan turned by 20, as scan 3591 of a log did."""
+    truth, guess = se2(0.05, 0.0, math.radians(-20.0)), se2(0.05, 0.0, math.radians(-3.0))
+    backend = PointToLineICP()
+    target = backend.prepare(planar_scan(START, 0, 0.005))
+    source = backend.prepare(planar_scan(START @ truth, 1, 0.005))
+    start = CorrelativeSearch(**settings).start(source, target, guess)
+    off = inverse(truth) @ start.T_target_source
+    assert (float(rotation_angle(off)) < 0.02) == is_right
+    assert (start.score > 0.75) == is_right
+
+
 @pytest.mark.parametrize(("min_gain", "leaves"), [(0.0, True), (0.5, False)])
 def test_the_guess_is_left_for_a_better_score_only(min_gain: float, leaves: bool) -> None:
     search, backend = CorrelativeSearch(min_gain=min_gain), PointToLineICP()
