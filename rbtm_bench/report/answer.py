@@ -143,7 +143,9 @@ def _tied(won: MethodRuns, group: Sequence[MethodRuns], key: str) -> str:
     tied = [m for m, one in asked if one.holds != "better"]
     words = _few(map(_name, tied)) or "none: it is better than every row that registers"
     count = f"{len(tied)} of {len(asked)}: " if tied else ""
-    return f"not told apart from it (p_holm, ratio of {key}): {count}{words}"
+    few = better.too_few([one for _, one in asked])
+    by = f"p_holm, ratio of {key}" + (f"; {few}" if tied and few else "")
+    return f"not told apart from it ({by}): {count}{words}"
 
 
 def _cost(won: MethodRuns, group: Sequence[MethodRuns], cost: float) -> str:

@@ -67,6 +67,18 @@ def needed(tests: int) -> int:
     return math.floor(math.log2(2 * max(tests, 1) / SIGNIFICANT)) + 1
 
 
+def too_few(comparisons: Sequence[Comparison]) -> str:
+    """That no difference can show among so many comparisons, however large; "" where one can."""
+    tested = [one for one in comparisons if one.unit != RUNS]
+    most = max((one.n for one in tested), default=0)
+    at_least = max((needed(one.tests) for one in tested), default=0)
+    if not most or most >= at_least:
+        return ""
+    tests = max(one.tests for one in tested)
+    unit = tested[0].unit
+    return f"{most} {unit} cannot part any of {tests} comparisons, {at_least} could"
+
+
 @dataclass(frozen=True, eq=False)
 class Comparison:
     """A method beside another by one error: ``pairs`` (2, n) are the values of ours and of theirs,

@@ -153,6 +153,8 @@ def _of_marks(blocks: Sequence[Block], cells: Sequence[PaperCell]) -> str:
     margins = {one.margin for one in comparisons if one.unit == better.REPLICATES}
     if margins:
         rule += f", and medians more than {_factors(margins)} times apart"
+    few = better.too_few(comparisons)
+    rule += f"; {few}" if few else ""
     mark = f"{TIED}: not told apart from it" if any(c.tied for c in cells) else "all others differ"
     return f"{lowest}; {mark} ({rule})"
 
