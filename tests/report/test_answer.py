@@ -51,7 +51,9 @@ def test_ties_are_those_that_replicates_cannot_part(tmp_path: Path) -> None:
 def test_replicates_that_cannot_part_so_many_methods_are_named(tmp_path: Path) -> None:
     """Nine pairs reach p = 2 / 2^9, fourteen times that is .055: no difference could show."""
     for gap in range(2, 16):
-        make_replicates(tmp_path, "previous", [90.0 * gap + i for i in range(9)], name=f"gap{gap}", gap=gap)
+        make_replicates(
+            tmp_path, "previous", [90.0 * gap + i for i in range(9)], name=f"gap{gap}", gap=gap
+        )
     make_replicates(tmp_path, "rbtm", [10.0 + i for i in range(9)])
     text = " ".join(" ".join(told(tmp_path)).split())
     assert "14 of 14" in text

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
 from stat_helpers import MM, make_replicates, make_run, make_seeds
+from sweep_helpers import TESTS
 
 from rbtm_bench.cli.commands import main
 
@@ -47,6 +49,34 @@ def has_ieee() -> bool:
     finder = shutil.which("kpsewhich")
     words = [finder or "", "IEEEtran.cls", "siunitx.sty", "booktabs.sty"]
     return finder is not None and subprocess.run(words, capture_output=True).returncode == 0
+
+
+@pytest.mark.skipif(not has_ieee(), reason="no pdflatex with IEEEtran is installed")
+def test_the_tutorial_s_page_is_one_page(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The document of docs/tutorials.md from a table and figures as they come, nothing scaled."""
+    runs = tmp_path / "runs"
+    for backend in ("open3d_p2p", "small_gicp_gicp", "plicp"):
+        for number, selector in enumerate(["previous", "keyframe", "rbtm"], start=1):
+            errors = [10.0**number + 0.1 * copy for copy in range(12)]
+            make_replicates(runs, selector, errors, name=selector + backend, backend=backend)
+    for path in runs.glob("*/metrics.json"):
+        cost = {"ms_per_scan": 1.0 + len(path.parent.name)}
+        path.write_text(json.dumps(json.loads(path.read_text()) | cost))
+    words = ["table", str(runs), "--paper", "--rows", "selector", "--columns", "backend"]
+    assert main(words) == 0
+    (tmp_path / "table.tex").write_text(capsys.readouterr().out)
+    words = ["--only", "errors", "--only", "accuracy_time", "--no-titles", "--format", "pdf"]
+    assert main(["plot", str(runs), "--out", str(tmp_path), "--style", "paper", *words]) == 0
+    text = (TESTS.parent / "docs" / "tutorials.md").read_text()
+    (tmp_path / "page.tex").write_text(text.partition("```latex\n")[2].partition("```")[0])
+    compiled = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "page.tex"]
+    for _ in range(2):
+        done = subprocess.run(compiled, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert "(1 page," in done.stdout
+    assert "Overfull" not in done.stdout and "undefined on" not in done.stdout
 
 
 @pytest.mark.skipif(not has_ieee(), reason="no pdflatex with IEEEtran is installed")
