@@ -9,7 +9,7 @@ import numpy as np
 
 from rbtm_bench.backends.base import Prepared
 from rbtm_bench.backends.correlative_search import Peak, Window, search, thinned, turns_of
-from rbtm_bench.backends.likelihood_field import Field, field_of
+from rbtm_bench.backends.likelihood_field import Field, field_of, with_widest
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.geometry import yaw
 from rbtm_bench.core.types import Array
@@ -55,7 +55,6 @@ class CorrelativeMatcher:
         (4, 4). With a translation of None the source's origin may lie anywhere in the target's
         bounding box. Raises ``BackendError`` for a target or a window too large for a table.
         """
-        field = self.field(target)
         points = self.points(source)
         x, y, theta = T_target_source[0, 3], T_target_source[1, 3], float(yaw(T_target_source))
         if translation is None:
@@ -65,14 +64,16 @@ class CorrelativeMatcher:
         cells = math.ceil(translation / self.cell_size - 1e-9)
         turns = turns_of(points, self.cell_size, rotation)
         window = Window(float(x), float(y), theta, cells, turns)
+        field = self.field(target, window.is_wide)
         return search(points, field, window, self.apart, self.apart_turn)
 
     def points(self, source: Prepared) -> Array:
         """The source points (M, 2) m that are looked at."""
         return thinned(source.points, self.cell_size)
 
-    def field(self, target: Prepared) -> Field:
-        """The target's field; those of the last few targets are kept."""
+    def field(self, target: Prepared, is_wide: bool = False) -> Field:
+        """The target's field, for a wide window if ``is_wide``; those of the last few targets are
+        kept."""
         known = self._fields.get(id(target))
         if known is None:
             field = field_of(target.points, self.cell_size, self.sigma)
@@ -81,5 +82,7 @@ class CorrelativeMatcher:
             known = self._fields[id(target)] = (target, field)  # so that the id stays its own
             if len(self._fields) > FIELDS_KEPT:
                 self._fields.popitem(last=False)
+        if is_wide:
+            known = self._fields[id(target)] = (target, with_widest(known[1]))
         self._fields.move_to_end(id(target))
         return known[1]

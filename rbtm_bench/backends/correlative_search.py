@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rbtm_bench.backends.likelihood_field import BITS, FULL, Bytes, Field
+from rbtm_bench.backends.likelihood_field import BITS, FULL, Bytes, Field, with_widest
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.kernels import kernel
 from rbtm_bench.core.types import Array
@@ -47,6 +47,11 @@ class Window(NamedTuple):
     theta: float
     cells: int
     turns: Array
+
+    @property
+    def is_wide(self) -> bool:
+        """Whether the first bounds are those of the field's widest blocks."""
+        return 2 * self.cells + 1 > WIDE
 
 
 class Peak(NamedTuple):
@@ -102,7 +107,8 @@ def search(points: Array, field: Field, window: Window, apart: float, apart_turn
     with an ``apart`` of 0. Raises ``BackendError`` for a window too large.
     """
     side = 2 * window.cells + 1
-    top = 2 if side > WIDE else 1
+    top = 2 if window.is_wide else 1
+    field = with_widest(field) if window.is_wide else field
     blocks = -(-side // (1 << BITS[top]))
     if len(window.turns) * blocks * blocks > MOST_BLOCKS:
         raise BackendError(

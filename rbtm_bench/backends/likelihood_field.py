@@ -30,7 +30,8 @@ class Field(NamedTuple):
 
     ``levels`` hold, for blocks s = 1, 4 and 16 cells wide, [y % s, x % s, y // s, x // s]: the
     highest likelihood (0 to 255) of the s x s cells from cell (x, y) on. Blocks side by side lie
-    side by side in memory, wherever the first of them begins."""
+    side by side in memory, wherever the first of them begins. The widest are empty until a window
+    is so large that they are asked for (``with_widest``)."""
 
     corner: tuple[float, float]
     size: float
@@ -49,10 +50,17 @@ def field_of(points: Array, size: float, sigma: float) -> Field | None:
     corner = float(low[0]) * size, float(low[1]) * size
     cells = np.zeros((int(height), int(width)), np.uint8)
     smear(points, corner[0], corner[1], size, sigma, margin, cells)
-    middle = wider(cells, 1, 2)
-    coarse = wider(middle, 4, 8)
-    levels = interleaved(cells, 1), interleaved(middle, 4), interleaved(coarse, WIDEST)
-    return Field(corner, size, levels)
+    none = np.empty((WIDEST, WIDEST, 0, 0), np.uint8)
+    return Field(corner, size, (cells[None, None], interleaved(wider(cells, 1, 2), 4), none))
+
+
+def with_widest(field: Field) -> Field:
+    """The same with its widest blocks."""
+    cells, middle, widest = field.levels
+    if widest.size:
+        return field
+    plain = middle.transpose(2, 0, 3, 1).reshape(cells.shape[2:])
+    return field._replace(levels=(cells, middle, interleaved(wider(plain, 4, 8), WIDEST)))
 
 
 @kernel

@@ -16,7 +16,7 @@ from rbtm_bench.backends.correlative_search import (
     thinned,
     turns_of,
 )
-from rbtm_bench.backends.likelihood_field import BITS, Field, field_of
+from rbtm_bench.backends.likelihood_field import BITS, Field, field_of, with_widest
 from rbtm_bench.core.errors import BackendError
 from rbtm_bench.core.types import Array
 
@@ -99,7 +99,8 @@ def test_values_of_the_field_are_likelihoods_and_blocks_their_maxima() -> None:
     likelihood = np.where(d < 0.4, np.exp(-0.5 * (d / 0.15) ** 2), 0.0)
     near = d < 0.4
     np.testing.assert_allclose(cells[near] / 255, likelihood[near], atol=0.5 / 255 + 1e-9)
-    for level, bits in zip(field.levels, BITS, strict=True):
+    assert with_widest(field).levels[0] is field.levels[0] and not field.levels[2].size
+    for level, bits in zip(with_widest(field).levels, BITS, strict=True):
         s = 1 << bits
         for row, column in ((0, 0), (3, 5), (17, 20), (cells.shape[0] - 1, 30)):
             block = cells[row : row + s, column : column + s].max()
