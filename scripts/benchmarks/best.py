@@ -46,6 +46,7 @@ APART = ("not the wheels' own, m (relations)", "the wheels' own, m (relations)",
 WITHOUT: dict[str, list[str]] = {
     "the recipe": [],
     "without the search": ["search=none"],
+    "without doubt of the search": ["search.doubt=0"],
     "without older keyframes": ["target.older=0"],
     "one keyframe as target": ["target.older=0", "target.keyframes=1"],
     "without the check": [
