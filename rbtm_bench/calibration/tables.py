@@ -17,6 +17,7 @@ from rbtm_bench.calibration.parts import PARTS
 from rbtm_bench.calibration.sampling import GAP, Sample
 from rbtm_bench.calibration.shortlist import Candidate, Gap, Shortlist
 from rbtm_bench.calibration.trial import Trial, Verdict
+from rbtm_bench.core import escape
 from rbtm_bench.core.files import write_atomically, write_text
 
 if TYPE_CHECKING:
@@ -165,7 +166,7 @@ def write(
     csv = {"roc": findings.roc, "curves": findings.curves, "summary": table}
     csv |= {"gaps": gap_rows(findings), "trials": trial_rows(verdicts)}
     files = {f"{name}.parquet": rows.to_parquet for name, rows in parquet.items()}
-    files |= {f"{name}.csv": rows.to_csv for name, rows in csv.items()}
+    files |= {f"{name}.csv": escape.csv_table(rows).to_csv for name, rows in csv.items()}
     for name, save in files.items():
         write_atomically(out / name, functools.partial(save, index=False))
     write_text(out / "summary.md", table.round(3).to_markdown(index=False) + "\n")

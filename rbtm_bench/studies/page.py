@@ -12,6 +12,7 @@ from typing import Any
 import jinja2
 import pandas as pd
 
+from rbtm_bench.core import escape
 from rbtm_bench.core.columns import KNOWN
 from rbtm_bench.core.files import make_folder, write_text
 from rbtm_bench.engine import sweep_folder
@@ -38,8 +39,8 @@ def write(outcome: Outcome, command: Sequence[str], seconds: float, out: Path) -
     study = outcome.plan.study
     drawn = figures.draw(outcome, out)
     table, ratios = errors(outcome), all_ratios(outcome)
-    write_text(out / TABLES[0], table.to_csv(index=False, float_format="%.5g"))
-    write_text(out / TABLES[1], ratios.to_csv(index=False, float_format="%.5g"))
+    for name, rows in zip(TABLES, (table, ratios), strict=True):
+        write_text(out / name, escape.csv_table(rows).to_csv(index=False, float_format="%.5g"))
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rbtm_bench.studies"),
         undefined=jinja2.StrictUndefined,
