@@ -78,7 +78,7 @@ class View {
     const xs = ticks(cx - halfX, cx + halfX, w / 90), step = xs[1] - xs[0] || 1, ys = [];
     for (let v = Math.ceil((cy - halfY) / step) * step; v < cy + halfY; v += step) ys.push(Math.abs(v) < 1e-9 * step ? 0 : v);
     c.textBaseline = "middle";
-    for (const v of ys) { const y = this.at(0, v)[1]; line(c, 34, y, w, y); if (y > 14 && y < h - 40) { c.textAlign = "right"; c.fillText(tickText(+v.toPrecision(9)), 31, y); } }
+    for (const v of ys) { const y = this.at(0, v)[1]; line(c, 34, y, w, y); if (y > 20 && y < h - 40) { c.textAlign = "right"; c.fillText(tickText(+v.toPrecision(9)), 31, y); } }
     for (const v of xs) { const x = this.at(v, 0)[0]; line(c, x, 0, x, h - 20); if (x > 56 && x < w - 58) { c.textAlign = "center"; c.fillText(tickText(v), x, h - 11); } }
     c.textAlign = "left";
     c.fillText("x (m)", w - 32, h - 11);

@@ -227,22 +227,23 @@ def idle_threshold(row: dict[str, Any]) -> str:
 
 
 def equals(methods: Sequence[MethodRuns]) -> list[str]:
-    """Methods that register and whose trajectories are equal to the bit, run for run."""
+    """Methods that register and whose trajectories are equal to the bit, run for run: a line for
+    each thing that this says."""
     groups: dict[Any, list[MethodRuns]] = {}
     for method in methods:
         is_other = method.row["backend"] != "none" and not rotation.is_previous(method.row)
         if is_other and (known := _trajectories(method)):
             loops = method.runs[0].choices.get("loops")  # closed afterwards: not of this path
             groups.setdefault((method.row["data"], loops, known), []).append(method)
-    lines = []
+    lines: dict[str, list[str]] = {}
     for group in groups.values():
         if len(group) > 1:
             bare = {(m.row["backend"], m.row["selector"]) for m in group}
             what = "settings that never bind: " if len(bare) == 1 else ""
             few = [*map(_name, group[:NAMED])]
             few += [f"{len(group) - NAMED} more"] if len(group) > NAMED else []
-            lines.append(f"{_why_equal(group)}{what}{' = '.join(few)} bit for bit")
-    return lines
+            lines.setdefault(_why_equal(group) + what, []).append(" = ".join(few))
+    return [f"{what}{'; '.join(chains)} bit for bit" for what, chains in lines.items()]
 
 
 def _why_equal(group: Sequence[MethodRuns]) -> str:
