@@ -28,16 +28,14 @@ from rbtm_bench.engine.sweep_folder import Asked
 from rbtm_bench.odometry import judge, loop
 from rbtm_bench.odometry.result import Odometry
 from rbtm_bench.odometry.system import system_odometry
-from rbtm_bench.pairs.shared import SharedDataset
 from rbtm_bench.report import frame, screen
-from rbtm_bench.runs import assembly, evaluation, first_part, keywords, replicate, stored
+from rbtm_bench.runs import assembly, evaluation, keywords, replicate, stored
 from rbtm_bench.runs.claim import default_folder
 from rbtm_bench.runs.experiment import BLOCK
 from rbtm_bench.runs.plugins import is_system
 from rbtm_bench.runs.settings import Settings, compose_settings
 from rbtm_bench.runs.words import as_typed, data_words
 from rbtm_bench.selection.base import Selector
-from rbtm_bench.selection.thresholded import AUTO
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -167,10 +165,7 @@ def odometry(
     node = assembly.build(config["backend"]) if is_system(config) else None
     if isinstance(system := given.get("backend", node), System):
         return Odometry(system_odometry(every, system))
-    if dataset is not scans and config["selector"].get("threshold") == AUTO:
-        raise ConfigError("selector.threshold=auto looks at the data first: expected a Dataset")
-    known = first_part.determined(config, SharedDataset(dataset, 0.0), assembly.method_of)
-    method = assembly.method_of(first_part.filled(config, known.values), given)
+    method = assembly.method_on(dataset, config, given)
     block = 1 if is_stream or given else BLOCK
     return Odometry(loop.odometry(every, method, block=block))
 

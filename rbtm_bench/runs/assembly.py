@@ -15,6 +15,7 @@ from rbtm_bench.core.errors import (
 )
 from rbtm_bench.core.kernels import make_ready
 from rbtm_bench.datasets.base import Dataset
+from rbtm_bench.datasets.in_memory import FirstScan
 from rbtm_bench.loops.base import Loops
 from rbtm_bench.metrics.base import Metric
 from rbtm_bench.odometry.method import Method, MotionFilter, Work
@@ -29,6 +30,7 @@ from rbtm_bench.runs.plugins import (
     unfillable,
 )
 from rbtm_bench.runs.settings import Settings
+from rbtm_bench.selection.thresholded import AUTO
 
 UNSHARED_BYTES = 150e6
 """Remembered of what foreign plug-ins were handed, where no workbench sets its own bound."""
@@ -79,6 +81,15 @@ def method_of(config: Mapping[str, Any], given: Mapping[str, Any] = MappingProxy
     plugins = {g: given[g] if g in given else build(config[g]) for g in groups}
     backend = build_backend(config, given.get("backend"))
     return Method(backend=backend, **plugins, **loop_settings(config))
+
+
+def method_on(dataset: Dataset, config: Mapping[str, Any], given: Mapping[str, Any]) -> Method:
+    """``method_of`` with the settings that follow from the data's first part. Raises
+    ``ConfigError`` for a threshold that takes more of the data than the first scan of a stream."""
+    if isinstance(dataset, FirstScan) and config["selector"].get("threshold") == AUTO:
+        raise ConfigError("selector.threshold=auto looks at the data first: expected a Dataset")
+    known = first_part.determined(config, SharedDataset(dataset, 0.0), method_of)
+    return method_of(first_part.filled(config, known.values), given)
 
 
 def loop_settings(config: Mapping[str, Any]) -> dict[str, Any]:
