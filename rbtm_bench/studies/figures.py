@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, TwoSlopeNorm
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from rbtm_bench.core.columns import KNOWN
 from rbtm_bench.plots import panels, style
@@ -137,11 +137,16 @@ def _curve(ax: Axes, outcome: Outcome, method: Method, look: Look) -> None:
 
 
 def _log(ax: Axes, which: str) -> None:
+    """Logarithmic axes with as many numbers as stand beside (x) or above one another (y)."""
     for name in which:
         getattr(ax, f"set_{name}scale")("log")
         axis = getattr(ax, f"{name}axis")
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=8))
-        axis.set_major_formatter(ScalarFormatter())
+        low, high = axis.get_view_interval()
+        many, some = (6, 40) if name == "x" else (1000, 10_000)
+        span = high / low
+        subs = (1.0, 2.0, 5.0) if span < many else (1.0, 3.0) if span < some else (1.0,)
+        axis.set_major_locator(LogLocator(subs=subs, numticks=8))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
 
 
