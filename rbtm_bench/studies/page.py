@@ -29,7 +29,8 @@ WORDS = {
     "deciding": "Left: the ratio of an RBTM's error to that of its own gaps at other times, with "
     "95 % intervals. Right: error against mean gap, every way with all tries of its own key, the "
     "one that other data chose large.",
-    "axis": "The error of every way over the axis, with the settings that other data chose.",
+    "axis": "The error of every way over the axis, with its one setting or the one that was "
+    "chosen.",
     "map": "Where {ours} has less error (blue) or more (red) than {other}; grey: undecided.",
 }
 
